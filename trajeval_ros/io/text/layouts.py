@@ -194,10 +194,11 @@ def fits(table: TextTable, layout: Layout) -> bool:
 
 def example_for(table: TextTable) -> str:
     """Return names for all columns of a table that no layout describes, with `_` for text."""
-    date = next((at for at, word in enumerate(table.sample[0]) if is_date(word)), None)
-    clock = None if date is None or date + 1 == table.columns else date + 1
-    if clock is not None and not is_time_of_day(table.sample[0][clock]):
-        clock = None
+    words = table.sample[0]
+    date = next((at for at, word in enumerate(words) if is_date(word)), None)
+    clock = None
+    if date is not None and any(map(is_time_of_day, words[date + 1 : date + 2])):
+        clock = date + 1
     places = [at for at in np.flatnonzero(~table.texts).tolist() if at not in (date, clock)]
     time = date
     if date is None and places and may_be_time(table.values[:, places[0]], table.columns):

@@ -9,8 +9,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.text.header_names import from_header, plain_of, split_header
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, example_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
-from trajeval_ros.io.text.stamps import DATE as DATE_PATTERN
-from trajeval_ros.io.text.stamps import is_date, is_time_of_day
+from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment
 from trajeval_ros.io.text.table import TextTable
 
 _LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
@@ -153,12 +152,7 @@ def with_dates(table: TextTable, layout: Layout) -> Layout:
     if at is None:
         return layout
     word = table.sample[0][at] if table.sample else ""
-    match = DATE_PATTERN.fullmatch(word)
-    if (
-        layout.time_name in ("t", DATE)
-        and match is not None
-        and (match[1] or match[4] or match[7])
-    ):
+    if layout.time_name in ("t", DATE) and moment(word) is not None:
         columns = tuple(DATE if place == at else name for place, name in enumerate(layout.columns))
         return dataclasses.replace(layout, columns=columns)
     if table.texts[at]:
