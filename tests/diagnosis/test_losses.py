@@ -17,15 +17,15 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
     losses_in,
     lost_tracking,
 )
-from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, FROZEN, Event
 
 SECOND = 1_000_000_000
 BEGIN = 1000 * SECOND
 
 
-def loss_of(cause: str, begin_s: float, end_s: float, **changed: Any) -> Loss:
+def loss_of(cause: str, begin_s: float, end_s: float, **changed: Any) -> Event:
     begin, end = (BEGIN + round(item * SECOND) for item in (begin_s, end_s))
-    usual = Loss(cause, begin, end, 4.0, 30.0, 9.0, is_error=True, is_over=False)
+    usual = Event(cause, ESTIMATE, begin, end, m=4.0, deg=30.0, s=end_s - begin_s, moved_m=9.0)
     return dataclasses.replace(usual, **changed)
 
 
@@ -64,7 +64,7 @@ def test_a_divergence_over_three_times_the_whole_path_is_certain(
     own[before + 10] = 1e4
     loss = loss_of(DIVERGED, before - 1, before + 9, is_over=is_over)
     assert is_certain(loss, pairs_of(true, own / unit)) == expected
-    assert is_certain(dataclasses.replace(loss, cause=FROZEN), pairs_of(true, own))
+    assert is_certain(dataclasses.replace(loss, kind=FROZEN), pairs_of(true, own))
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_a_loss_within_a_second_is_one_of_the_start(begin_s: float, *, is_at_sta
     assert begins_at_start(loss_of(FROZEN, begin_s, 5.0), pairs) == is_at_start
 
 
-def told(*losses: Loss) -> list[Any]:
+def told(*losses: Event) -> list[Any]:
     """Return the values of what is seen, with the cause."""
     pairs = pairs_of(np.zeros(200), np.zeros(200))
     examined = lost_tracking(losses, pairs, BEGIN - 5 * SECOND)
@@ -119,7 +119,7 @@ def test_a_divergence_is_told_from_its_first_begin() -> None:
 
 
 def test_the_longest_of_frozen_poses_is_told() -> None:
-    short, long = loss_of(FROZEN, 20.0, 26.5), loss_of(FROZEN, 40.0, 49.0, true_m=7.0)
+    short, long = loss_of(FROZEN, 20.0, 26.5), loss_of(FROZEN, 40.0, 49.0, m=7.0)
     [values] = told(short, long, short)
     assert values == {
         "cause": "frozen",
@@ -163,4 +163,4 @@ def test_pairs_by_row_have_no_losses() -> None:
     for method, causes in (("nearest", [FROZEN]), ("index", [])):
         protocol = Protocol(association=AssociationRule(method), lengths=())
         pairs = evaluate(truth, estimate, protocol).association
-        assert [loss.cause for loss in losses_in(pairs)] == causes
+        assert [loss.kind for loss in losses_in(pairs)] == causes

@@ -45,14 +45,14 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
 from trajeval_ros.diagnosis.motion_tests import tests_of_motion
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
-from trajeval_ros.metrics.tracking_loss import FROZEN
+from trajeval_ros.metrics.discontinuities.events import FROZEN
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.metrics.discontinuities.events import Event
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.input_summary import InputSummary
     from trajeval_ros.metrics.protocol import Protocol
-    from trajeval_ros.metrics.tracking_loss import Loss
 
 # These findings invalidate all other tests.
 _FINAL = {
@@ -74,7 +74,7 @@ def diagnose(
     estimate: Trajectory,
     *,
     paired: bool = False,
-    losses: Sequence[Loss] | None = None,
+    losses: Sequence[Event] | None = None,
 ) -> tuple[Evaluation, Diagnosis]:
     """Search for mistakes that affect an evaluation of two trajectories.
 
@@ -150,7 +150,7 @@ def diagnose_inputs(
 
 
 def _tested_where_tracked(
-    losses: Sequence[Loss], pairs: Association, inputs: InputPair
+    losses: Sequence[Event], pairs: Association, inputs: InputPair
 ) -> tuple[Diagnosis, bool]:
     """Report losses, and apply the other tests to the rest, since a loss looks like most mistakes.
 
@@ -161,7 +161,7 @@ def _tested_where_tracked(
     certain = [loss for loss in losses if is_certain(loss, pairs)]
     diagnosis = _tested(inputs, certain)
     # What follows from wrong pairs is no divergence.
-    frozen = [loss for loss in certain if loss.cause == FROZEN]
+    frozen = [loss for loss in certain if loss.kind == FROZEN]
     if len(frozen) < len(certain) and diagnosis.names_any(_OTHER_PAIRS):
         whole = _tested(inputs, frozen)
         if whole.names_any(_OTHER_PAIRS):
@@ -169,7 +169,7 @@ def _tested_where_tracked(
     uncertain = [loss for loss in losses if loss not in certain and is_large(loss, pairs)]
     from_start = any(begins_at_start(loss, pairs) for loss in uncertain)
     if uncertain and not any(_explains_loss(one, from_start) for one in diagnosis.findings):
-        certain = sorted((*certain, *uncertain), key=lambda loss: loss.begin_ns)
+        certain = sorted((*certain, *uncertain), key=lambda loss: loss.t_ns)
         diagnosis = _tested(inputs, certain)
     if not certain:
         return diagnosis, False
@@ -212,7 +212,7 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
     return None
 
 
-def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
+def _tested(inputs: InputPair, losses: Sequence[Event] = ()) -> Diagnosis:
     """Apply all tests of the inputs where the estimate is not lost; none if hardly any is left."""
     if losses:
         inputs = inputs.tracked(losses)

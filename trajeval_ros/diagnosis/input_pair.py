@@ -17,12 +17,12 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import every_nth
 from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.metrics.association import INTERPOLATING
+from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.metrics.statistics import median
-from trajeval_ros.metrics.tracking_loss import FROZEN
 
 if TYPE_CHECKING:
+    from trajeval_ros.metrics.discontinuities.events import Event
     from trajeval_ros.metrics.protocol import Protocol
-    from trajeval_ros.metrics.tracking_loss import Loss
 
 FEWEST = 12  # poses, motions or repetitions: fewer are no evidence
 SHORTEST_S = 8.0  # of a side and in common: less motion has no evidence
@@ -185,14 +185,14 @@ class InputPair:
         """Groundtruth and estimate sorted by time, of equal times the first pose."""
         return self.groundtruth_poses.in_order(), self.estimate_poses.in_order()
 
-    def tracked(self, losses: Sequence[Loss]) -> InputPair:
+    def tracked(self, losses: Sequence[Event]) -> InputPair:
         """Return both sides until a divergence or the end, the estimate without frozen poses."""
         stamps = self.estimate.stamps + round(self.offset_s * NANOSECONDS)
         true_stamps = self.groundtruth.stamps
         kept, true_kept = np.ones(len(stamps), dtype=bool), np.ones(len(true_stamps), dtype=bool)
         for loss in losses:
-            goes_on = loss.is_over and loss.cause == FROZEN
-            kept &= (stamps <= loss.begin_ns) | (goes_on & (stamps > loss.end_ns))
-            true_kept &= (true_stamps <= loss.begin_ns) | goes_on
+            goes_on = loss.is_over and loss.kind == FROZEN
+            kept &= (stamps <= loss.t_ns) | (goes_on & (stamps > loss.end_ns))
+            true_kept &= (true_stamps <= loss.t_ns) | goes_on
         sides = self.groundtruth[true_kept], self.estimate[kept]
         return InputPair(*sides, self.protocol, self.offset_s)

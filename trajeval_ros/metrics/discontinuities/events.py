@@ -11,6 +11,7 @@ SIDES = GROUNDTRUTH, ESTIMATE
 OUTLIER, FLIP, STEP, RESTART, CORRECTION = "outlier", "flip", "step", "restart", "correction"
 FLIP_STAYS, FROZEN_POSITION, FROZEN_ROTATION = "flip_stays", "frozen_position", "frozen_rotation"
 CLOCK_STEP, LOST = "clock_step", "lost"
+FROZEN, DIVERGED = "frozen", "diverged"  # of the whole pose: the estimate is lost
 # Kinds that end a part of the estimate that one alignment fits.
 PARTING = STEP, RESTART
 DECLARED = "declared"  # certainty of a reset that the estimator states itself
@@ -38,6 +39,8 @@ class Event:
     gap_s: float = 0.0  # gap of the guilty side in which it is, seconds
     # Largest change of both sides' own velocities there, as fractions of the size.
     innovations: tuple[float, float] = (0.0, 0.0)
+    moved_m: float = 0.0  # path of a diverging estimate, in the groundtruth's unit
+    is_over: bool = False  # of a frozen or diverging side: whether it has followed again
 
     @property
     def is_large(self) -> bool:

@@ -22,7 +22,7 @@ _BEFORE, _AFTER = 30, 3
 class Repeats:
     """An interval in which a part of the pose is repeated exactly."""
 
-    part: str  # `position` or `rotation`
+    part: str  # `position`, `rotation` or `pose`
     begin_s: float
     end_s: float
     is_over: bool = False
@@ -43,11 +43,12 @@ class Innovation:
 class SidePoses:
     """The poses of one side, without repeated ones, so that a frozen pose is a gap."""
 
-    def __init__(self, *, oriented: bool) -> None:
+    def __init__(self, *, oriented: bool, of_pose: bool = False) -> None:
+        """Create it before the first pose; `of_pose`: only whole poses are repeats."""
         self.clock = StampSteps()
         self.repeats: list[Repeats] = []  # of at least `FROZEN_S`, or not over
         self.newest_s = -math.inf  # repeated poses included
-        self._oriented = oriented
+        self._oriented, self._of_pose = oriented, of_pose
         self._has_rotated = False
         self.first: Floats = np.zeros(7)  # the first pose
         self._last: Floats | None = None  # the newest pose, also if it is repeated
@@ -104,15 +105,18 @@ class SidePoses:
         is_same = np.abs(np.diff(rows, axis=0, prepend=self._last[None])) <= _SAME
         held = np.logical_and.reduce(is_same[:, :3], axis=1)
         stands = np.logical_and.reduce(is_same[:, 3:], axis=1)
-        # A sensor without orientation may write the identity.
-        rotated = np.logical_or.accumulate(~stands) | self._has_rotated
-        stands &= rotated
-        self._has_rotated = bool(rotated[-1])
-        self._repeat("position", self.newest_s, stamps, held)
-        self._repeat("rotation", self.newest_s, stamps, stands)
+        if self._of_pose:
+            self._repeat("pose", self.newest_s, stamps, held & stands)
+        else:
+            # A sensor without orientation may write the identity.
+            rotated = np.logical_or.accumulate(~stands) | self._has_rotated
+            stands &= rotated
+            self._has_rotated = bool(rotated[-1])
+            self._repeat("position", self.newest_s, stamps, held)
+            self._repeat("rotation", self.newest_s, stamps, stands)
         self.newest_s, self._last = float(stamps[-1]), rows[-1]
         moved = ~(held | stands)
-        if not moved.all():
+        if not (self._of_pose or moved.all()):
             stamps, rows = stamps[moved], rows[moved]
         self._append(stamps, rows)
 
