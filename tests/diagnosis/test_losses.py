@@ -17,15 +17,15 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
     losses_in,
     lost_tracking,
 )
-from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, FROZEN, Event
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, FROZEN, Loss
 
 SECOND = 1_000_000_000
 BEGIN = 1000 * SECOND
 
 
-def loss_of(cause: str, begin_s: float, end_s: float, **changed: Any) -> Event:
+def loss_of(cause: str, begin_s: float, end_s: float, **changed: Any) -> Loss:
     begin, end = (BEGIN + round(item * SECOND) for item in (begin_s, end_s))
-    usual = Event(cause, ESTIMATE, begin, end, m=4.0, deg=30.0, s=end_s - begin_s, moved_m=9.0)
+    usual = Loss(cause, ESTIMATE, begin, end, m=4.0, deg=30.0, s=end_s - begin_s, moved_m=9.0)
     return dataclasses.replace(usual, **changed)
 
 
@@ -91,7 +91,7 @@ def test_a_loss_within_a_second_is_one_of_the_start(begin_s: float, *, is_at_sta
     assert begins_at_start(loss_of(FROZEN, begin_s, 5.0), pairs) == is_at_start
 
 
-def told(*losses: Event) -> list[Any]:
+def told(*losses: Loss) -> list[Any]:
     """Return the values of what is seen, with the cause."""
     pairs = pairs_of(np.zeros(200), np.zeros(200))
     examined = lost_tracking(losses, pairs, BEGIN - 5 * SECOND)

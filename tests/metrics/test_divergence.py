@@ -16,7 +16,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.discontinuities.divergence import Divergence
-from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, Event
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, Loss
 
 AT_S, PERIOD_S = 60.0, 0.1  # begin of a fault, and time between pairs
 ACROSS = np.array([0.6, 0.0, 0.8])
@@ -39,7 +39,7 @@ def seen_from(poses: np.ndarray, rotation: Rotation, scale: float) -> np.ndarray
 
 def events_of(
     seconds: np.ndarray, true: np.ndarray, own: np.ndarray, size: int = 5
-) -> tuple[list[Event], list[float]]:
+) -> tuple[list[Loss], list[float]]:
     """Return the events of pairs that come in batches, and when they were named, seconds."""
     divergence, named = Divergence(), list[float]()
     stamps = np.rint(1e9 * seconds).astype(np.int64) + 7 * 10**18

@@ -17,8 +17,8 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import associate
-from trajeval_ros.metrics.discontinuities.events import Event
-from trajeval_ros.metrics.discontinuities.lost_tracking import Losses, losses_of
+from trajeval_ros.metrics.discontinuities.events import Loss
+from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses, losses_of
 
 PAIRS = {
     kind: associate(pair.truth, pair.estimate, pair.protocol.association)
@@ -44,8 +44,10 @@ def diverging(trajectory: Trajectory, begin: int, mps2: float) -> Floats:
     return poses
 
 
-def batches(stamps: Stamps, groundtruth: Floats, estimate: Floats, cuts: list[int]) -> Losses:
-    tracking = Losses()
+def batches(
+    stamps: Stamps, groundtruth: Floats, estimate: Floats, cuts: list[int]
+) -> TrackingLosses:
+    tracking = TrackingLosses()
     for begin, end in itertools.pairwise([0, *sorted(cuts), len(stamps)]):
         tracking.add(stamps[begin:end], groundtruth[begin:end], estimate[begin:end])
     return tracking
@@ -88,9 +90,9 @@ def test_losses_do_not_depend_on_batches(
         assert dataclasses.asdict(one) == dataclasses.asdict(other) | motions
 
 
-def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Event, float, float]:
+def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float]:
     """Return the loss, and the times of its warning and of its error after the onset, seconds."""
-    pairs, tracking, found = PAIRS[pairs_of], Losses(), dict[bool, float]()
+    pairs, tracking, found = PAIRS[pairs_of], TrackingLosses(), dict[bool, float]()
     stamps, truth = pairs.estimate.stamps, rows(pairs.groundtruth)
     for row in range(len(stamps)):
         tracking.add(*(column[row : row + 1] for column in (stamps, truth, poses)))

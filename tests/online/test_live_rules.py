@@ -21,7 +21,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level, warning
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, FROZEN, Event
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, FROZEN, Loss
 from trajeval_ros.online import live_relative_errors
 from trajeval_ros.online.alarms import AlarmLimits, about_loss, alarm_below
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -94,7 +94,7 @@ def test_an_alarm_below_a_limit(value: float, level: Level | None) -> None:
 @pytest.mark.parametrize("is_error", [False, True])
 def test_a_loss_is_told_with_its_numbers(cause: str, *, is_error: bool) -> None:
     lasted_s = 3.0 if is_error else 2.99
-    loss = Event(cause, ESTIMATE, 5_250_000_000, 9_000_000_000, m=4.0, s=lasted_s, moved_m=7.0)
+    loss = Loss(cause, ESTIMATE, 5_250_000_000, 9_000_000_000, m=4.0, s=lasted_s, moved_m=7.0)
     [remark] = about_loss(dataclasses.replace(EMPTY, loss=loss))
     assert remark.level == (Level.ERROR if is_error else Level.WARNING)
     assert remark.code == cause

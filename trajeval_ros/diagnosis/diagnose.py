@@ -49,7 +49,7 @@ from trajeval_ros.metrics.discontinuities.events import FROZEN
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
-    from trajeval_ros.metrics.discontinuities.events import Event
+    from trajeval_ros.metrics.discontinuities.events import Loss
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.input_summary import InputSummary
     from trajeval_ros.metrics.protocol import Protocol
@@ -74,7 +74,7 @@ def diagnose(
     estimate: Trajectory,
     *,
     paired: bool = False,
-    losses: Sequence[Event] | None = None,
+    losses: Sequence[Loss] | None = None,
 ) -> tuple[Evaluation, Diagnosis]:
     """Search for mistakes that affect an evaluation of two trajectories.
 
@@ -150,7 +150,7 @@ def diagnose_inputs(
 
 
 def _tested_where_tracked(
-    losses: Sequence[Event], pairs: Association, inputs: InputPair
+    losses: Sequence[Loss], pairs: Association, inputs: InputPair
 ) -> tuple[Diagnosis, bool]:
     """Report losses, and apply the other tests to the rest, since a loss looks like most mistakes.
 
@@ -212,7 +212,7 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
     return None
 
 
-def _tested(inputs: InputPair, losses: Sequence[Event] = ()) -> Diagnosis:
+def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
     """Apply all tests of the inputs where the estimate is not lost; none if hardly any is left."""
     if losses:
         inputs = inputs.tracked(losses)

@@ -21,7 +21,7 @@ from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
-    from trajeval_ros.metrics.discontinuities.events import Event
+    from trajeval_ros.metrics.discontinuities.events import Loss
     from trajeval_ros.metrics.protocol import Protocol
 
 FEWEST = 12  # poses, motions or repetitions: fewer are no evidence
@@ -185,7 +185,7 @@ class InputPair:
         """Groundtruth and estimate sorted by time, of equal times the first pose."""
         return self.groundtruth_poses.in_order(), self.estimate_poses.in_order()
 
-    def tracked(self, losses: Sequence[Event]) -> InputPair:
+    def tracked(self, losses: Sequence[Loss]) -> InputPair:
         """Return both sides until a divergence or the end, the estimate without frozen poses."""
         stamps = self.estimate.stamps + round(self.offset_s * NANOSECONDS)
         true_stamps = self.groundtruth.stamps

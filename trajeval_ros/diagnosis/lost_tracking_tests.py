@@ -11,7 +11,7 @@ from trajeval_ros.diagnosis.findings import Detection, TestResult, Value
 from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN, Event
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN, Loss
 from trajeval_ros.metrics.discontinuities.lost_tracking import losses_of
 
 if TYPE_CHECKING:
@@ -24,14 +24,14 @@ _UNBOUNDED = 3.0
 _LARGE_PART, _LARGE = 0.2, 1.5  # of the run, and of the groundtruth's path
 
 
-def losses_in(pairs: Association) -> Sequence[Event]:
+def losses_in(pairs: Association) -> Sequence[Loss]:
     """Return the losses of tracking in pairs; none without timestamps."""
     if pairs.rule.method == "index":
         return ()
     return losses_of(pairs.groundtruth, pairs.estimate, of_fixes=pairs.is_at_groundtruth).events
 
 
-def is_certain(loss: Event, pairs: Association) -> bool:
+def is_certain(loss: Loss, pairs: Association) -> bool:
     """Return whether no other mistake can look like a loss: a repeated pose, or unbounded motion.
 
     Until the loss, the sizes of both paths give the unit of the estimate.
@@ -47,13 +47,13 @@ def is_certain(loss: Event, pairs: Association) -> bool:
     return unit * _size(estimate[lost]) > _UNBOUNDED * _size(groundtruth)
 
 
-def is_large(loss: Event, pairs: Association) -> bool:
+def is_large(loss: Loss, pairs: Association) -> bool:
     """Return whether a divergence is long, and larger than a large drift."""
     is_long = not loss.is_over or loss.s > _LARGE_PART * pairs.estimate.duration_s
     return is_long and loss.moved_m > _LARGE * loss.m
 
 
-def begins_at_start(loss: Event, pairs: Association) -> bool:
+def begins_at_start(loss: Loss, pairs: Association) -> bool:
     """Return whether a loss begins with the first pairs."""
     return loss.t_ns - int(pairs.estimate.stamps[0]) < _START_S * NANOSECONDS
 
@@ -62,7 +62,7 @@ def _size(positions: Floats) -> float:
     return float(np.linalg.norm(extents(positions)))
 
 
-def lost_tracking(losses: Sequence[Event], pairs: Association, first_ns: int) -> TestResult:
+def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> TestResult:
     """Report losses, by times since `first_ns`, the groundtruth's first timestamp."""
     seen = []
     for kind in (DIVERGED, FROZEN):

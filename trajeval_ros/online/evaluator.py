@@ -16,7 +16,7 @@ from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association, AssociationRule
 from trajeval_ros.metrics.coverage import Coverage
-from trajeval_ros.metrics.discontinuities.lost_tracking import Losses
+from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.relative_errors import RelativeErrors
@@ -51,7 +51,7 @@ class OnlineEvaluator:
         buffer: The pairing of the states.
         frames: Up axes of both frames, and conversions.
         store: The pairs of the window, and those that relative errors still need.
-        losses: Losses of tracking: frozen and diverging estimates.
+        losses: TrackingLosses of tracking: frozen and diverging estimates.
         up_axis_doubt: Why the groundtruth's up axis is doubtful; set by the caller, who has the
             path of the whole run. Empty if it is not.
 
@@ -339,7 +339,7 @@ class OnlineEvaluator:
 
     def _pair_by(self, buffer: Pairing) -> None:
         self.buffer = buffer
-        self.losses = Losses(of_fixes=buffer.at_groundtruth, max_gap_s=buffer.max_gap_s)
+        self.losses = TrackingLosses(of_fixes=buffer.at_groundtruth, max_gap_s=buffer.max_gap_s)
         self._coverage: LiveCompleteness | LiveCoverage = (
             LiveCompleteness(buffer)
             if buffer.at_groundtruth

@@ -14,7 +14,7 @@ from trajeval_ros.metrics.coverage import (
     StepMeter,
     waypoints,
 )
-from trajeval_ros.metrics.discontinuities.lost_tracking import Losses
+from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
 from trajeval_ros.online.pairing import Pairing
 
 
@@ -24,7 +24,7 @@ class LiveCoverage:
     Pairs and groundtruth states that arrive after newer ones were measured are left out.
     """
 
-    def __init__(self, buffer: Pairing, losses: Losses) -> None:
+    def __init__(self, buffer: Pairing, losses: TrackingLosses) -> None:
         """Create it without pairs; `losses` are those in the measured pairs."""
         self._buffer, self._losses = buffer, losses
         self._max_gap_ns = round(buffer.max_gap_s * NANOSECONDS)

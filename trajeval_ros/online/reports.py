@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
-from trajeval_ros.metrics.discontinuities.events import Event
+from trajeval_ros.metrics.discontinuities.events import Loss
 from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.online.live_relative_errors import RelativeEnd, RunningErrors
@@ -72,7 +72,7 @@ class Snapshot:
     consistency: Consistency | None = None  # test of the window's pairs
     why_not_consistency: str = ""  # why the test is not possible; empty otherwise
     integrity: Integrity | None = None  # errors of the window against protection levels
-    loss: Event | None = None  # loss of tracking at the newest pair
+    loss: Loss | None = None  # loss of tracking at the newest pair
     ate_before_loss_m: float | None = None  # position ATE of the run until it
     about_yaw: Remark | None = None  # warning about covariances that claim to know yaw
     doubts: Doubts = field(default_factory=Doubts)  # about what the withheld errors rely on

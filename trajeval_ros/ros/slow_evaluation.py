@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from trajeval_ros.diagnosis.causes import DISCONTINUITIES
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.io.requests.request_from import in_names_of_settings
-from trajeval_ros.metrics.discontinuities.events import Event
+from trajeval_ros.metrics.discontinuities.events import Loss
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.pairing import PairedStates
@@ -37,7 +37,7 @@ def hints_about(
     pairs: PairedStates,
     protocol: Protocol,
     bodies: tuple[str, str],
-    losses: Sequence[Event],
+    losses: Sequence[Loss],
     *,
     of_clocks: bool,
 ) -> list[Remark]:
@@ -89,7 +89,7 @@ class SlowEvaluation:
         path: RevisedPath | None,
         protocol: Protocol,
         bodies: tuple[str, str],
-        losses: Sequence[Event],
+        losses: Sequence[Loss],
         *,
         of_clocks: bool,
     ) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Booleans, Indices, Stamps
-from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN, Event
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN, Loss
 from trajeval_ros.viewer import colours, entity_data, scene_entities
 from trajeval_ros.viewer.live_path import LiveRecording
 from trajeval_ros.viewer.sdk import sdk
@@ -94,7 +94,7 @@ class LiveLanes:
         for stamp, item in zip(stamps.tolist(), status.tolist(), strict=True):
             self.change(scene_entities.FIX_STATUS, stamp, _OF_FIX.get(item, _OF_FIX[-2]))
 
-    def tracking(self, entity: str, stamp: int, loss: Event | None) -> None:
+    def tracking(self, entity: str, stamp: int, loss: Loss | None) -> None:
         """Draw a loss of tracking from its begin on, and its end, on a lane that has begun."""
         if entity not in self._now:
             return

@@ -12,7 +12,7 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, Event
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, Loss
 
 _SAME = 1e-9  # in the estimate's unit: a repeated position
 # Displacements are compared over this time: shorter ones are noise, longer ones delay an alarm.
@@ -34,10 +34,10 @@ _MOST_EXCESS, _LEAST_SUMS, _MOST_SUM = 1.0, (3.0, 2.0), 12.0
 _RUNAWAY, _RUNAWAY_SINCE = 0.1, 1.0 / 3.0
 _AGREES_AGAIN, _AGREES_M = 6, 0.5  # displacements that end a divergence, and their path
 
-# Steps are columns (16, n): time in seconds; displacements of groundtruth and of estimate in their
-# frames and in their bodies, with lengths; and the ratio of the difference.
+# Steps are columns (15, n): time in seconds; displacements of groundtruth and of estimate, in
+# their frames and in their bodies, and their lengths.
 _TIME_S, _TRUE, _TRUE_IN_BODY, _TRUE_M = 0, slice(1, 4), slice(4, 7), 7
-_OWN, _OWN_IN_BODY, _OWN_M, _RATIO, _WIDTH = slice(8, 11), slice(11, 14), 14, 15, 16
+_OWN, _OWN_IN_BODY, _OWN_M, _WIDTH = slice(8, 11), slice(11, 14), 14, 15
 _POSITIONS = [0, 1, 2, 7, 8, 9]  # columns of two poses
 
 
@@ -50,7 +50,7 @@ class Divergence:
     """
 
     def __init__(self) -> None:
-        self.events: list[Event] = []
+        self.events: list[Loss] = []
         self._first: int | None = None  # stamp
         self._cell = 0  # of the newest used pair
         # The newest used pair, if any: stamp (1,), poses of groundtruth and estimate (1, 14).
@@ -66,7 +66,7 @@ class Divergence:
         self._scale = self._first_scale = 0.0  # metres per unit of the estimate
         self._limit = _DRIFT[1]
         self._agreed = self._runs_away = False
-        self._sum = self._of_lengths = 0.0
+        self._sum = self._of_body = 0.0
         self._before = 0.0
         self._begin_ns, self._since_m, self._moved_m = 0, 0.0, 0.0
         self._agreeing, self._agreeing_m = 0, 0.0
@@ -104,7 +104,6 @@ class Divergence:
             steps = np.diff(side[:, :3], axis=0)
             inside = lie.rotate(lie.conjugate(side[:-1, 3:]), steps)
             columns += [steps.T, inside.T, _lengths(steps.T)[None]]
-        columns.append(np.zeros_like(columns[0]))
         steps, spans = np.vstack(columns), np.stack([stamps[:-1], stamps[1:]])
         used = steps[_TIME_S] <= _LONGEST_S
         spans, steps = spans[:, used], steps[:, used]
@@ -115,20 +114,18 @@ class Divergence:
 
     def _take(self, spans: Stamps, steps: Floats) -> None:
         """Take n steps with stamps (2, n) of one chunk."""
-        true_m, own_m = steps[[_TRUE_M, _OWN_M]]
         if self._rotations is not None:
-            unit_m = true_m + _NOISE_MPS * steps[_TIME_S]
-            frames, bodies = self._scale * self._rotations
-            apart_m = _lengths(frames @ steps[_OWN] - steps[_TRUE])
-            of_body_m = _lengths(bodies @ steps[_OWN_IN_BODY] - steps[_TRUE_IN_BODY])
-            lengths_m = np.abs(self._scale * own_m - true_m)
-            of_body_m = np.where(np.isnan(of_body_m), lengths_m, of_body_m)
-            steps[_RATIO] = np.minimum(apart_m, of_body_m) / unit_m
-            excess = apart_m / unit_m / self._limit - 1.0
-            of_lengths = of_body_m / unit_m / self._limit - 1.0
-            scale = self._scale if self._agreed else self._first_scale
+            excess, of_body = (ratio / self._limit - 1.0 for ratio in self._ratios_of(steps))
             if self._sum or self._is_lost or self._runs_away or (excess > 0.0).any():
-                columns = spans[0], spans[1], true_m, scale * own_m, excess, of_lengths
+                scale = self._scale if self._agreed else self._first_scale
+                columns = (
+                    spans[0],
+                    spans[1],
+                    steps[_TRUE_M],
+                    scale * steps[_OWN_M],
+                    excess,
+                    of_body,
+                )
                 for row in zip(*(column.tolist() for column in columns), strict=True):
                     self._follow(*row)
         self._chunk = np.hstack([self._chunk, steps])
@@ -146,32 +143,32 @@ class Divergence:
         true_m: float,
         moved_m: float,
         excess: float,
-        of_lengths: float,
+        of_body: float,
     ) -> None:
         """Accumulate one step; begin, extend or end an event."""
         if self._sum == 0.0 and not self._is_lost:
             if excess <= 0.0 and not self._runs_away:
                 return
             self._begin_ns, self._since_m, self._moved_m = begin_ns, 0.0, 0.0
-            self._of_lengths = self._before = 0.0
+            self._of_body = self._before = 0.0
         self._since_m += true_m
         self._moved_m += moved_m
         self._sum = _accumulated(self._sum, excess)
         # The smaller of two in a row, since a jump is in one.
-        self._of_lengths = _accumulated(self._of_lengths, min(of_lengths, self._before))
-        self._before = of_lengths
+        self._of_body = _accumulated(self._of_body, min(of_body, self._before))
+        self._before = of_body
         if not self._is_lost:
             if self._agreed:
-                if self._sum < _LEAST_SUMS[0] or self._of_lengths < _LEAST_SUMS[1]:
+                if self._sum < _LEAST_SUMS[0] or self._of_body < _LEAST_SUMS[1]:
                     return
             elif self._runs_away:
                 self._begin_ns, self._ran_away = self._first or 0, True
             else:
                 return
             self._agreeing, self._agreeing_m = 0, 0.0
-            event = Event(DIVERGED, ESTIMATE, self._begin_ns, end_ns, certainty="sure")
+            event = Loss(DIVERGED, ESTIMATE, self._begin_ns, end_ns, certainty="sure")
             self.events.append(event)
-        agrees = min(excess, of_lengths) <= 0.0
+        agrees = min(excess, of_body) <= 0.0
         self._agreeing = self._agreeing + 1 if agrees else 0
         self._agreeing_m = self._agreeing_m + true_m if agrees else 0.0
         event = self.events[-1]
@@ -181,21 +178,34 @@ class Divergence:
         if is_over and not self._ran_away:  # any motion agrees with a scale that was never right
             event.is_over, self._sum = True, 0.0
 
+    def _ratios_of(self, steps: Floats) -> tuple[Floats, Floats]:
+        """Return the ratios (n,) of difference and distance, in the frames and in the bodies.
+
+        Without orientations, differences of lengths take the place of those in the bodies.
+        """
+        assert self._rotations is not None
+        frames, bodies = self._scale * self._rotations
+        apart_m = _lengths(frames @ steps[_OWN] - steps[_TRUE])
+        in_body_m = _lengths(bodies @ steps[_OWN_IN_BODY] - steps[_TRUE_IN_BODY])
+        lengths_m = np.abs(self._scale * steps[_OWN_M] - steps[_TRUE_M])
+        unit_m = steps[_TRUE_M] + _NOISE_MPS * steps[_TIME_S]
+        return apart_m / unit_m, np.where(np.isnan(in_body_m), lengths_m, in_body_m) / unit_m
+
     def _learn(self, steps: Floats) -> None:
-        """Fit rotation and scale to steps (10, n) and those before, and learn the differences."""
-        time_s, true_m, own_m = steps[[_TIME_S, _TRUE_M, _OWN_M]]
-        moves = true_m > _MOVES_MPS * time_s
+        """Fit rotation and scale to steps (15, n) and those before, and learn the differences."""
         if self._rotations is not None:
-            self._ratios = [*self._ratios, *steps[_RATIO, moves].tolist()][-_KEPT:]
+            ratios = np.minimum(*self._ratios_of(steps))
+            moves = steps[_TRUE_M] > _MOVES_MPS * steps[_TIME_S]
+            self._ratios = [*self._ratios, *ratios[moves].tolist()][-_KEPT:]
             if len(self._ratios) >= _LEAST_KEPT:
                 tail = sorted(self._ratios)[int(0.95 * len(self._ratios))]
                 self._limit = min(max(_TIMES_USUAL * tail, _DRIFT[0]), _DRIFT[1])
-        if self._agreed:
-            usable = steps[_RATIO] <= _OUTLIER * self._limit
-            steps, moves = steps[:, usable], moves[usable]
-            time_s, true_m, own_m = steps[[_TIME_S, _TRUE_M, _OWN_M]]
+            if self._agreed:
+                steps = steps[:, ratios <= _OUTLIER * self._limit]
+        time_s, true_m, own_m = steps[[_TIME_S, _TRUE_M, _OWN_M]]
         # Only motion is forgotten by time: a hover keeps the fit.
-        kept = math.exp(-float(time_s[moves].sum()) / _MEMORY_S)
+        moving_s = float(time_s[true_m > _MOVES_MPS * time_s].sum())
+        kept = math.exp(-moving_s / _MEMORY_S)
         added = true_m, time_s, true_m**2, true_m * own_m, own_m**2
         self._sums = kept * self._sums + np.array([item.sum() for item in added])
         products = np.empty((2, 3, 3))

@@ -39,10 +39,20 @@ class Event:
     gap_s: float = 0.0  # gap of the guilty side in which it is, seconds
     # Largest change of both sides' own velocities there, as fractions of the size.
     innovations: tuple[float, float] = (0.0, 0.0)
-    moved_m: float = 0.0  # path of a diverging estimate, in the groundtruth's unit
-    is_over: bool = False  # of a frozen or diverging side: whether it has followed again
 
     @property
     def is_large(self) -> bool:
         """Whether it is beyond all usual differences."""
         return self.ratio >= _LARGE
+
+
+@dataclass
+class Loss(Event):
+    """A time in which the whole pose did not follow the other side; it is extended while it lasts.
+
+    `m` and `deg` are the largest motion of the other side since the begin of a frozen pose; of a
+    divergence, `m` is the path of the other side.
+    """
+
+    moved_m: float = 0.0  # path of a diverging estimate, in the groundtruth's unit
+    is_over: bool = False  # whether it has followed again

@@ -16,6 +16,7 @@ from trajeval_ros.metrics.discontinuities.events import (
     FROZEN_ROTATION,
     SIDES,
     Event,
+    Loss,
 )
 from trajeval_ros.metrics.discontinuities.pose_stream import FROZEN_S, Repeats, SidePoses
 
@@ -77,7 +78,8 @@ class FrozenParts:
                 followed.event.t_ns = nanoseconds(followed.begin_s)
                 followed.event.end_ns = nanoseconds(repeats.end_s)
                 followed.event.s = repeats.end_s - followed.begin_s
-                followed.event.is_over = is_over
+                if isinstance(followed.event, Loss):
+                    followed.event.is_over = is_over
             if is_over:
                 self._followed.remove((number, followed))
         return new
@@ -112,7 +114,8 @@ class FrozenParts:
         has_moved = max(followed.m / self._moved_m, followed.deg / _MOVED_DEG) >= 1.0
         is_new = followed.event is None and has_moved
         if is_new and repeats.end_s - repeats.begin_s >= FROZEN_S:
-            followed.event = Event(_KINDS[repeats.part], SIDES[number], 0, 0, certainty="sure")
+            of_kind = Loss if repeats.part == "pose" else Event
+            followed.event = of_kind(_KINDS[repeats.part], SIDES[number], 0, 0, certainty="sure")
         if followed.event is not None:
             followed.event.m, followed.event.deg = followed.m, followed.deg
         return followed.event if is_new else None

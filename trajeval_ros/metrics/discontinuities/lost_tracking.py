@@ -1,4 +1,4 @@
-"""Losses of tracking in pairs of both sides: frozen and diverging estimates, as events.
+"""TrackingLosses of tracking in pairs of both sides: frozen and diverging estimates, as events.
 
 Live and recorded evaluations share this code, so that they report the same times.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.divergence import Divergence
-from trajeval_ros.metrics.discontinuities.events import ESTIMATE, Event
+from trajeval_ros.metrics.discontinuities.events import ESTIMATE, Loss
 from trajeval_ros.metrics.discontinuities.frozen_parts import (
     MOVED_M,
     MOVED_OF_FIXES_M,
@@ -24,7 +24,7 @@ from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 _BATCH = 8192  # pairs that are copied at a time
 
 
-class Losses:
+class TrackingLosses:
     """Takes pairs in order of time, in batches of any size; the memory is that of seconds."""
 
     def __init__(
@@ -41,7 +41,7 @@ class Losses:
         self._divergence = Divergence() if diverging and not of_fixes else None
         self._max_gap_ns = math.inf if math.isinf(max_gap_s) else round(max_gap_s * NANOSECONDS)
         self._moved_m = MOVED_OF_FIXES_M if of_fixes else MOVED_M
-        self._frozen: list[Event] = []
+        self._frozen: list[Loss] = []
         self._streams: tuple[SidePoses, SidePoses] | None = None
         self._zero_ns = self._newest_ns = 0
         self._gaps: list[tuple[int, int]] = []  # long steps, while a pose is repeated
@@ -69,7 +69,9 @@ class Losses:
         new = self._parts.advance(1.0, self._ns)
         for stream in self._streams:
             stream.drop_before(stream.newest_s)
-        self._frozen += [event for event in new if event.side == ESTIMATE]
+        self._frozen += [
+            event for event in new if isinstance(event, Loss) and event.side == ESTIMATE
+        ]
         before = np.append(self._newest_ns, stamps[:-1])
         is_gap = stamps - before > self._max_gap_ns
         self._gaps += zip(before[is_gap].tolist(), stamps[is_gap].tolist(), strict=True)
@@ -81,14 +83,14 @@ class Losses:
         self._gaps = [gap for gap in self._gaps if gap[1] > self._zero_ns + begin_s * NANOSECONDS]
 
     @property
-    def events(self) -> list[Event]:
+    def events(self) -> list[Loss]:
         """All losses so far, in order of their begin: copies, since a loss is extended."""
         diverged = [] if self._divergence is None else self._divergence.events
         events = map(dataclasses.replace, (*self._frozen, *diverged))
         return sorted(events, key=lambda event: event.t_ns)
 
     @property
-    def present(self) -> Event | None:
+    def present(self) -> Loss | None:
         """The loss that is not over, the earlier one of two; None if there is none."""
         return next((event for event in self.events if not event.is_over), None)
 
@@ -104,7 +106,7 @@ class Losses:
         """The time of frozen estimates so far, nanoseconds, without longer steps."""
         return self._closed_ns + sum(map(self._lasted_ns, self._frozen[self._closed :]))
 
-    def _lasted_ns(self, event: Event) -> int:
+    def _lasted_ns(self, event: Loss) -> int:
         inside = [gap for gap in self._gaps if event.t_ns <= gap[0] and gap[1] <= event.end_ns]
         return event.end_ns - event.t_ns - sum(end - begin for begin, end in inside)
 
@@ -119,9 +121,9 @@ def losses_of(
     of_fixes: bool = False,
     diverging: bool = True,
     max_gap_s: float = math.inf,
-) -> Losses:
-    """Return the losses in N pairs; see `Losses`."""
-    losses = Losses(of_fixes=of_fixes, diverging=diverging, max_gap_s=max_gap_s)
+) -> TrackingLosses:
+    """Return the losses in N pairs; see `TrackingLosses`."""
+    losses = TrackingLosses(of_fixes=of_fixes, diverging=diverging, max_gap_s=max_gap_s)
     order = np.argsort(estimate.stamps, kind="stable")
     for begin in range(0, len(order), _BATCH):
         rows = order[begin : begin + _BATCH]
