@@ -56,13 +56,15 @@ def pair_columns(run: RunOutcome, up: UpAxis) -> Columns:
     }
     if aligned.quaternions is not None:
         columns["aligned_quaternions"] = aligned.quaternions
-    found: dict[str, Any] = {}
+    groups: dict[str, Any] = {}
     if run.consistency is not None:
-        found["consistency"] = _consistency_columns(run.consistency)
+        groups["consistency"] = _consistency_columns(run.consistency)
     if run.likelihood is not None:
-        found["probabilistic"] = probabilistic_columns(run.likelihood)
+        groups["probabilistic"] = probabilistic_columns(run.likelihood)
     return columns | {
-        f"{kind}.{name}": column for kind, group in found.items() for name, column in group.items()
+        f"{kind}.{name}": column
+        for kind, group in groups.items()
+        for name, column in group.items()
     }
 
 
@@ -81,16 +83,16 @@ def component_columns(columns: Columns) -> Columns:
     `aligned_positions` (N, 3) becomes `aligned_positions_x`, `_y` and `_z`. Components of
     rotations are `_roll`, `_pitch` and `_yaw`. Points in names become underscores.
     """
-    found = {}
+    components = {}
     for name, column in columns.items():
         plain = name.replace(".", "_")
         if column.ndim == 1:
-            found[plain] = column
+            components[plain] = column
             continue
         width = column.shape[1]
         names = _TURNS if width == 3 and name.startswith("rotation") else _COMPONENTS[width]
-        found |= {f"{plain}_{item}": column[:, at] for at, item in enumerate(names)}
-    return found
+        components |= {f"{plain}_{item}": column[:, at] for at, item in enumerate(names)}
+    return components
 
 
 def _consistency_columns(consistency: Consistency) -> dict[str, Any]:
