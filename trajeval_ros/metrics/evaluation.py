@@ -40,6 +40,7 @@ from trajeval_ros.metrics.relative_evaluation import (
     relative_evaluation,
     rmse_text,
 )
+from trajeval_ros.metrics.scale_along_run import ScaleAlongRun, scale_along_run
 from trajeval_ros.metrics.score import Recall, Score, point_errors
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import Length
@@ -107,6 +108,14 @@ class Evaluation:
     def aligned(self) -> Trajectory:
         """The paired estimated states, aligned; computed at the first access."""
         return self.alignment.similarity.trajectory(self.association.estimate)
+
+    @cached_property
+    def scale_along_run(self) -> ScaleAlongRun | None:
+        """The scale along the run, for gauges with a scale; None if the pairs are too few."""
+        if not self.protocol.gauge.has_scale:
+            return None
+        sides = self.association.groundtruth.positions, self.association.estimate.positions
+        return scale_along_run(*sides, self.alignment.similarity.scale)
 
     @property
     def warnings(self) -> tuple[str, ...]:
