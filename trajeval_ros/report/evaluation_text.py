@@ -111,6 +111,10 @@ def _print_errors(terminal: Console, runs: Sequence[RunOutcome], statistic: str)
     if relative is not None:
         terminal.print()
         show(terminal, relative)
+    scale = tables.scale_table(evaluations)
+    if scale is not None:
+        terminal.print()
+        show(terminal, scale)
 
 
 def print_remarks(remarks: Console, runs: Sequence[RunOutcome]) -> None:
