@@ -235,7 +235,7 @@ def test_the_memory_is_that_of_a_minute() -> None:
         # A car whose speed changes by 2 m/s within one period, where interpolation ends.
         ("kitti/KITTI_00_gt.txt", [("step", 308.91, 0.219)]),
         # 10 m from the path for 0.3 s and for one pose.
-        ("hilti_2021/uzh_run2_mocap.txt", [("flip", 23.51, 10.08), ("outlier", 24.97, 10.42)]),
+        ("hilti_2021/uzh_run2_mocap.txt", [("outlier", 23.51, 10.08), ("outlier", 24.97, 10.42)]),
         ("euroc/groundtruth/MH_01.txt", []),
         ("euroc/groundtruth/V2_03.txt", []),
         ("tum/fr2_desk_groundtruth.txt", []),

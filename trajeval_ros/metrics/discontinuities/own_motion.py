@@ -28,7 +28,7 @@ class OwnMotions(NamedTuple):
     degps: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OwnMotion:
     """One unusual motion between successive poses."""
 

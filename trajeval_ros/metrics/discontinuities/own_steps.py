@@ -19,7 +19,7 @@ from trajeval_ros.metrics.discontinuities.step_kinds import is_at_origin
 _CALM_S, _CALM_PERIODS = 1.0, 4.0  # without unusual motion, after which a step stays
 _LOST_S, _LOST_MOTIONS = 10.0, 5  # steps without a calm second
 _RETURN_S, _MOST_STAYED = 60.0, 8  # longest excursion whose return is known, and steps kept
-_FLIP_DEG = 60.0  # smallest rotation of a flip
+_FLIP_DEG, _FLIP_M = 60.0, 0.3  # smallest rotation of a flip, and largest motion of its marker
 # Smallest events, as multiples of the limit: single poses of heavy-tailed noise exceed 1.5.
 _LEAST_RATIO, _LEAST_RATIO_OF_OUTLIER = 1.5, 2.5
 _NEARLY = 1.5  # as far from the path as after a return: the next pose alone is less certain
@@ -127,12 +127,12 @@ class OwnSteps:
 
     def _kind_of(self, step: _Step) -> str:
         size, last = step.parts, step.last
-        is_flip = size.deg > _FLIP_DEG
+        is_flip = _is_flip(size)
         if step.is_back:
             return kinds.FLIP if is_flip else kinds.OUTLIER
         if last.end_s - step.first.begin_s > _LOST_S and step.count > _LOST_MOTIONS:
             return kinds.LOST
-        if is_flip and not size.m:
+        if is_flip:
             return kinds.FLIP_STAYS
         at_origin = is_at_origin(last.begin[:3], last.end[:3], self._origin, size.m)
         return kinds.RESTART if self._side == ESTIMATE and at_origin else kinds.STEP
@@ -149,7 +149,7 @@ class OwnSteps:
             event = earlier.event
             if event is None or not is_back(_size(step_m, rotation), earlier.parts):
                 continue
-            event.kind = kinds.FLIP if event.deg > _FLIP_DEG else kinds.OUTLIER
+            event.kind = kinds.FLIP if _is_flip(earlier.parts) else kinds.OUTLIER
             event.end_ns = self._ns(step.last.end_s)
             event.s = step.last.begin_s - earlier.first.end_s
             inside = [*list(self._stayed)[number + 1 :], step]
@@ -159,6 +159,10 @@ class OwnSteps:
                 self._stayed.pop()
             return True
         return False
+
+
+def _is_flip(size: Size) -> bool:
+    return size.deg > _FLIP_DEG and size.m < _FLIP_M
 
 
 def _size(step_m: Floats, rotation: Floats) -> Size:
