@@ -26,7 +26,9 @@ def pair_columns(run: RunOutcome) -> ArrayColumns:
     if run.likelihood is not None:
         groups["probabilistic"] = probabilistic_columns(run.likelihood)
     return run.evaluation.to_columns() | {
-        f"{kind}.{name}": column for kind, group in groups.items() for name, column in group.items()
+        f"{kind}.{name}": column
+        for kind, group in groups.items()
+        for name, column in group.items()
     }
 
 
