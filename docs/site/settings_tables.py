@@ -20,6 +20,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE, PARAMETER_FILE = ROOT / "docs/settings.md", ROOT / "config/evaluator.yaml"
 BEGIN, END = "<!-- settings: written by make settings -->", "<!-- end of settings -->"
 FORMATS = ROOT / "docs/trajectory.md"
+# A default in the help of an option, which the page has in a column.
+_STATED_DEFAULT = re.compile(r" Default: \S+\.(?= |$)| \(default(: [^ )]+)?\)(?!:)")
 _EXAMPLES: dict[str, Any] = {
     "groundtruth_topic": "/groundtruth/pose",
     "estimate_topics": ["/vio/odometry"],
@@ -65,7 +67,8 @@ def _row(setting: Setting) -> str:
         where.append("file of a comparison")
     default = setting.default
     shown = "" if default in (None, "") else f"`{json_text(default)}`"
-    meaning = re.sub(r"docs/(\w+)\.md", r"[\1](\1.md)", setting.text).replace("|", "\\|")
+    text = _STATED_DEFAULT.sub("", setting.text) if shown else setting.text
+    meaning = re.sub(r"docs/(\w+)\.md", r"[\1](\1.md)", text).replace("|", "\\|")
     return f"| `{setting.name}` | {shown} | {', '.join(where)} | {meaning} |"
 
 
