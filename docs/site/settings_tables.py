@@ -62,7 +62,7 @@ def _row(setting: Setting) -> str:
     where = [f"`{verb}`" for verb in setting.verbs if verb != NODE]
     where += ["node"] if NODE in setting.verbs else []
     if setting.targets[0].startswith("protocol.") and setting.name != "protocol":
-        where.append("protocol file")
+        where.append("protocol")
     elif not setting.verbs:
         where.append("file of a comparison")
     default = setting.default
