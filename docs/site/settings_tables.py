@@ -75,10 +75,14 @@ def _row(setting: Setting) -> str:
 def layouts_table() -> str:
     """Return the table of all layouts of text files without a header in Markdown."""
     rows = [
-        f"| {layout.name} | {_columns(layout)} | {layout.up.name} | {layout.source} |"
+        f"| {layout.name} | {_columns(layout)} | {_written_by(layout)} |"
         for layout in KNOWN
     ]
-    return "\n".join(["| layout | columns | up | written by |", "|---|---|---|---|", *rows])
+    return "\n".join(["| layout | columns | written by |", "|---|---|---|", *rows])
+
+
+def _written_by(layout: Layout) -> str:
+    return layout.source if layout.up.name == "z" else f"{layout.source}; up is {layout.up.name}"
 
 
 def _columns(layout: Layout) -> str:
