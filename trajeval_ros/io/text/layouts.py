@@ -8,7 +8,7 @@ from.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from trajeval_ros.io.text.names import (
     IGNORED,
     TEXT,
     Layout,
-    with_pose,
 )
 from trajeval_ros.io.text.stamps import is_date, is_time_of_day, may_be_time
 from trajeval_ros.io.text.states import ORTHONORMAL
@@ -34,6 +33,8 @@ from trajeval_ros.metrics.statistics import median
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
 _LEAST_NANOSECONDS = 1e12  # time of a file with commas: larger numbers are nanoseconds
+# Names for the columns of an unknown pose, by the least number of columns.
+_EXAMPLES = (7, "x y z qx qy qz qw"), (6, "x y z roll pitch yaw"), (3, "x y z"), (0, "x y")
 CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "axes north, east and down")
 _POSE, _POSE_W, _V = "t x y z qx qy qz qw", "t x y z qw qx qy qz", "vx vy vz"
@@ -192,23 +193,28 @@ def fits(table: TextTable, layout: Layout) -> bool:
     return all(not len(rows) or rows.mean() >= _MOST for rows in passed)
 
 
-def example_for(table: TextTable) -> str:
-    """Return names for all columns of a table that no layout describes, with `_` for text."""
-    words = table.sample[0]
-    date = next((at for at, word in enumerate(words) if is_date(word)), None)
-    clock = None
-    if date is not None and any(map(is_time_of_day, words[date + 1 : date + 2])):
-        clock = date + 1
-    places = [at for at in np.flatnonzero(~table.texts).tolist() if at not in (date, clock)]
-    time = date
-    if date is None and places and may_be_time(table.values[:, places[0]], table.columns):
-        time = places.pop(0)
-    columns = [IGNORED] * table.columns
-    if time is not None:
-        columns[time] = "t"
-    if clock is not None:
-        columns[clock] = CLOCK
-    return " ".join(with_pose(columns, places))
+def example_for(table: TextTable, known: Sequence[str] = ()) -> str:
+    """Return names for all columns of a table without a known position, with `_` for text.
+
+    `known`: names of the columns, as far as a header has them.
+    """
+    columns, words = list(known) or [IGNORED] * table.columns, table.sample[0]
+    time = Layout("", tuple(columns)).time
+    if time is None:
+        time = next((at for at, word in enumerate(words) if is_date(word)), None)
+        if time is not None:
+            columns[time] = "t"
+            if any(map(is_time_of_day, words[time + 1 : time + 2])):
+                columns[time + 1] = CLOCK
+    places = [
+        at for at in np.flatnonzero(~table.texts).tolist() if at != time and columns[at] != CLOCK
+    ]
+    if time is None and places and may_be_time(table.values[:, places[0]], table.columns):
+        columns[places.pop(0)] = "t"
+    pose = next(names for count, names in _EXAMPLES if count <= len(places))
+    for at, name in zip(places, pose.split(), strict=False):
+        columns[at] = name
+    return " ".join(columns)
 
 
 def by_rows(table: TextTable) -> Layout:

@@ -118,7 +118,7 @@ def _titled(table: TextTable, line: str, above: list[str], clock: bool) -> Layou
         ]
         names += [""] * (table.columns - len(names))
     known = [plain_of(name) for name in names]
-    layout = from_header(names, table.values, table.texts)
+    layout = from_header(names, table)
     if layout is None:
         return None
     twice = [
