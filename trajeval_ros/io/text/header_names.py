@@ -151,7 +151,7 @@ def from_header(names: Sequence[str], table: TextTable) -> Layout | None:
     ]
     if set(columns) == {IGNORED} and 2 * sum(known) < len(names):
         return None
-    time_unit = _bracket(names[layout.time]) if layout.time_name == "t" else ""
+    time_unit = _bracket(names[layout.time or 0]) if layout.time_name == "t" else ""
     if time_unit not in _UNITS and re.search(
         r"\d|s$|\A(?:min|minutes?|h|hours?|d|days?)\Z", time_unit
     ):

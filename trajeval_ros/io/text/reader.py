@@ -17,7 +17,6 @@ from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_rotations, check_stamps
-from trajeval_ros.io.text.arrow_rows import read_with_arrow
 from trajeval_ros.io.text.geographic import ANY_GGA, fixes_of, read_nmea
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.layouts import fits
@@ -125,7 +124,7 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
         return trajectory_of(path, layout, rows, hints, origin)
     table, layout = _recognised(path, hints.columns)
     layout = with_dates(table, layout)
-    rows = read_with_arrow(table, layout, advance) or read_rows(table, layout, advance)
+    rows = read_rows(table, layout, advance)
     return trajectory_of(path, layout, rows, hints, origin, table.left_out)
 
 
