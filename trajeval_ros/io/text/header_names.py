@@ -122,8 +122,7 @@ def split_header(line: str, separator: str) -> list[str]:
     line = line.encode("latin-1", "replace").decode("utf-8", "replace")
     if not separator:  # a unit after a space belongs to the name before it
         line = re.sub(rf" (?={_UNIT})", "", " ".join(line.split()))  # runs of spaces are slow
-    names = [name.strip(" \"'\t\r\n") for name in line.split(separator or None)]
-    return names[:-1] if len(names) > 1 and not names[-1] else names
+    return [name.strip(" \"'\t\r\n") for name in line.split(separator or None)]
 
 
 def plain_of(name: str) -> str:

@@ -116,8 +116,8 @@ KNOWN = (
 # fmt: on
 
 
-def _lengths(layout: Layout, values: Floats) -> Any:
-    lengths = np.linalg.norm(values[:, list(layout.groups["quaternion"])], axis=1)
+def _lengths(table: TextTable, layout: Layout, _: Floats) -> Any:
+    lengths = np.linalg.norm(table.values[:, list(layout.groups["quaternion"])], axis=1)
     lengths = lengths[np.isfinite(lengths) & (lengths > 0.0)]
     typical = 1.0 if len(lengths) < 3 else median(lengths)
     if abs(typical - 1.0) < 2e-2 or "spaces" not in layout.checks or layout.time is None:
@@ -125,8 +125,8 @@ def _lengths(layout: Layout, values: Floats) -> Any:
     return (np.abs(lengths - typical) < 1e-6 * typical) & (typical < 10.0)  # all scaled alike
 
 
-def _matrices(layout: Layout, values: Floats) -> Any:
-    axes = values[:, list(layout.groups["matrix"])].reshape(-1, 3, 4)[:, :, :3]
+def _matrices(table: TextTable, layout: Layout, _: Floats) -> Any:
+    axes = table.values[:, list(layout.groups["matrix"])].reshape(-1, 3, 4)[:, :, :3]
     axes = axes[np.isfinite(axes).all(axis=(1, 2))]
     errors = np.abs(axes @ np.swapaxes(axes, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
     return (errors < ORTHONORMAL) & (np.linalg.det(axes) > 0.0)
@@ -138,58 +138,45 @@ def _steps(column: Floats) -> bool:
     return bool(not signs.any() or abs(signs.sum()) >= 0.2 * np.abs(signs).sum())
 
 
-def _whole(column: Floats) -> Any:
-    return column == np.round(column)
+def _are_whole(column: Floats, end: float) -> Any:
+    """Return which values are whole numbers from zero below `end`."""
+    return (column == np.round(column)) & (column >= 0.0) & (column < end)
 
 
-def _time(layout: Layout, values: Floats) -> Floats:
-    assert layout.time is not None
-    return values[:, layout.time]
-
-
-def _counts(column: Floats) -> bool:
-    return bool((_whole(column) & (column < 1e8) & (column >= 0)).all())
-
-
-def _parts(layout: Layout, values: Floats) -> Any:
-    part, whole = values[:, 1], _time(layout, values)
-    return _whole(part) & (part >= 0.0) & (part < 1e9) & _whole(whole)
-
-
-# By the name in `Layout.checks`: which of the rows (N, C) pass.
+# By the name in `Layout.checks`: which rows of a table pass. The last argument is its times (N,).
 CHECKS: dict[str, Callable[[TextTable, Layout, Floats], Any]] = {
-    "spaces": lambda table, layout, values: table.separator in ("", "\t"),
-    "commas": lambda table, layout, values: table.separator not in ("", "\t") and not table.at_end,
-    "vins": lambda table, layout, values: table.at_end,
-    "time": lambda table, layout, values: _steps(_time(layout, values)),
-    "frames": lambda table, layout, values: _counts(_time(layout, values)),
-    "times": lambda table, layout, values: not _counts(_time(layout, values)),
-    "id": lambda table, layout, values: _whole(values[:, 0]),
-    "id_last": lambda table, layout, values: bool(
-        (_whole(values[:, -1]) & (np.diff(values[:, -1], prepend=-1.0) > 0.0)).all()),
-    "us": lambda table, layout, values: (values[:, 0] > 1e14) & (values[:, 0] < 4e15),
-    "angles": lambda table, layout, values: ~(np.abs(values[:, 4:7]) > 6.3).any(axis=1),
-    "unit": lambda table, layout, values: _lengths(layout, values),
-    "matrix": lambda table, layout, values: _matrices(layout, values),
-    "bottom": lambda table, layout, values: (values[:, -4:] == [0.0, 0.0, 0.0, 1.0]).all(axis=1),
-    "ros2": lambda table, layout, values: _parts(layout, values),
+    "spaces": lambda table, layout, times: table.separator in ("", "\t"),
+    "commas": lambda table, layout, times: table.separator not in ("", "\t") and not table.at_end,
+    "vins": lambda table, layout, times: table.at_end,
+    "time": lambda table, layout, times: _steps(times),
+    "frames": lambda table, layout, times: _are_whole(times, 1e8).all(),
+    "times": lambda table, layout, times: not _are_whole(times, 1e8).all(),
+    "id": lambda table, layout, times: table.values[:, 0] == np.round(table.values[:, 0]),
+    "id_last": lambda table, layout, times: (_are_whole(table.values[:, -1], np.inf)
+        & (np.diff(table.values[:, -1], prepend=-1.0) > 0.0)).all(),
+    "us": lambda table, layout, times: (times > 1e14) & (times < 4e15),
+    "angles": lambda table, layout, times: ~(np.abs(table.values[:, 4:7]) > 6.3).any(axis=1),
+    "unit": _lengths,
+    "matrix": _matrices,
+    "bottom": lambda table, layout, times: (table.values[:, -4:] == [0, 0, 0, 1]).all(axis=1),
+    "ros2": lambda table, layout, times: _are_whole(table.values[:, 1], 1e9)
+        & (times == np.round(times)),
 }  # fmt: skip
 
 
 def fits(table: TextTable, layout: Layout) -> bool:
     """Return whether the sample of a table has a layout."""
-    names = (
-        layout.columns[:-1] if table.at_end and layout.columns[-1] == IGNORED else layout.columns
-    )
+    names = layout.columns
+    if table.at_end and names[-1] == IGNORED:
+        names = names[:-1]
     if len(names) != table.columns or ("vins" in layout.checks) != table.at_end:
         return False
     for name, is_text in zip(names, table.texts.tolist(), strict=True):
         if is_text != (name == TEXT) and name != IGNORED:
             return False
+    times = table.values[:, layout.time or 0]
     with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
-        passed = [
-            np.atleast_1d(CHECKS[name](table, layout, table.values)) for name in layout.checks
-        ]
+        passed = [np.atleast_1d(CHECKS[name](table, layout, times)) for name in layout.checks]
     return all(not len(rows) or rows.mean() >= _MOST for rows in passed)
 
 
