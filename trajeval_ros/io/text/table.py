@@ -88,6 +88,12 @@ class Rows:
     texts: dict[str, Words | Floats]
     groups: dict[str, Floats]  # (N, width) by the name of the group in the layout
 
+    def where(self, kept: Booleans) -> Rows:
+        """Return the rows of a mask (N,)."""
+        texts = {name: column[kept] for name, column in self.texts.items()}
+        groups = {name: columns[kept] for name, columns in self.groups.items()}
+        return Rows(int(kept.sum()), texts, groups)
+
 
 def number(word: str) -> float | None:
     """Return a word as a number, NaN for a missing value; None if it is text."""

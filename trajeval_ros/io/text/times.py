@@ -30,7 +30,7 @@ from trajeval_ros.io.text.names import (
     UNPADDED,
     Layout,
 )
-from trajeval_ros.io.text.numpy_files import files_of_times, is_numbered, load
+from trajeval_ros.io.text.numpy_files import files_of_times, load
 from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import WIDTH, dates, exact, to_stamps, unit_of, unpadded
 from trajeval_ros.io.text.table import Rows, number, read_rows
@@ -280,7 +280,8 @@ def with_times(
             f"{source} has shape {times.shape} for {counted(rows.count, 'pose')}; "
             "give one time per pose, or remove it"
         )
-    columns = (FRAME if is_numbered(times) else "t", *layout.columns)
+    counts_frames = (times == np.round(times)).all() and np.abs(times).max(initial=0.0) < 1e7
+    columns = (FRAME if counts_frames else "t", *layout.columns)
     text = "; ".join(filter(None, (layout.note, f"times read from {source}")))
     layout = dataclasses.replace(layout, columns=columns, note=text)
     return layout, dataclasses.replace(rows, texts={**rows.texts, layout.time_name: times})
