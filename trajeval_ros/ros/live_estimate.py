@@ -13,7 +13,7 @@ from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.receptions import ReceiveTimes
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.io.live.state_file import (
@@ -51,6 +51,7 @@ from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 
 _MOST_RESETS = 100  # newest declared resets
+_FOLLOWS_NS = NANOSECONDS  # both clocks of a computer step together; messages wait in queues
 
 
 class LiveEstimate:
@@ -73,6 +74,10 @@ class LiveEstimate:
         self._newest_path: Trajectory | None = None  # as in its message
         self.evaluator = OnlineEvaluator(settings)
         self.discontinuities = LiveDiscontinuities()
+        # The newest time of reception by side, also when a step of a clock was first noticed.
+        self._heard: dict[str, int] = {}
+        self._suspected: Event | None = None
+        self._suspected_at: dict[str, int] = {}
         self._begin_ns = NEVER  # earlier states belong to the previous run
         self.stepped: Event | None = None  # the step of a clock with which the run began
         self.ends_at_restart = False  # whether the run ends where the estimate restarts
@@ -174,6 +179,8 @@ class LiveEstimate:
         self, side: str, stamps: Stamps, states: Trajectory, arrived: Stamps | None
     ) -> None:
         """Search states (N,) of this run for discontinuities."""
+        if arrived is not None and len(arrived):
+            self._heard[side] = max(self._heard.get(side, NEVER), int(arrived.max()))
         rows = slice(None) if self._begin_ns == NEVER else stamps >= self._begin_ns
         times = None if arrived is None else arrived[rows]
         self.discontinuities.add(side, stamps[rows], rows_of(states)[rows], times)
@@ -226,6 +233,8 @@ class LiveEstimate:
             self.discontinuities.events.clear()
         else:
             self._news += events
+        if self.suspected_step is not self._suspected:
+            self._suspected, self._suspected_at = self.suspected_step, dict(self._heard)
         self._restarts += [
             event.end_ns
             for event in events
@@ -233,9 +242,21 @@ class LiveEstimate:
         ]
 
     @property
-    def clock_step(self) -> Event | None:
-        """The newest step of one clock; None if the clocks agree as at the start."""
+    def suspected_step(self) -> Event | None:
+        """The newest step of one clock, which the other clock may follow."""
         return self.discontinuities.clock_step() or self.stepped
+
+    @property
+    def clock_step(self) -> Event | None:
+        """The newest step of one clock that the other one did not follow within a second.
+
+        None if the clocks agree as at the start. If both step, one is noticed first.
+        """
+        step = self.suspected_step
+        waits = step is not self.stepped and any(
+            self._heard[side] < heard + _FOLLOWS_NS for side, heard in self._suspected_at.items()
+        )
+        return None if waits else step
 
     def _declare(self, stamp: int) -> None:
         """Take a reset that the estimator declares, by the timestamp of the first pose after."""
