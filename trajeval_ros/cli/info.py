@@ -140,7 +140,9 @@ def _details(summary: TrajectorySummary) -> list[Row]:
     """Return a single trajectory as rows of name and value."""
     if summary.problem:
         return [("problem", summary.problem)]
+    topic = summary.source.rpartition(":")[2] if "/msg/" in summary.kind else ""
     rows: list[Row] = [
+        *([("topic", topic)] if topic else []),
         ("format", summary.kind),
         *([("columns", summary.columns)] if summary.columns else []),
         ("poses", str(summary.poses)),

@@ -128,7 +128,7 @@ def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evalu
     aligning, pairs = ALIGNMENTS[name], paired.pairs
     groundtruth, estimate = pairs.groundtruth, pairs.estimate
     if protocol.is_upright:
-        require_up_axis(groundtruth, protocol.gauge)
+        require_up_axis(groundtruth, estimate, protocol.gauge)
         groundtruth, estimate = upright(groundtruth), upright(estimate)
     if aligning.scaled_by:
         scale = before[aligning.scaled_by].similarity.scale

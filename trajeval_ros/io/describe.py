@@ -220,7 +220,11 @@ def _could_be(source: str, trajectory: Trajectory) -> str:
     """Return the likely role, from the name and from quantities that only estimators output."""
     if trajectory.reading.fixes is not None:
         return "groundtruth"
-    if is_named_groundtruth(source) or is_named_groundtruth(trajectory.frame):
+    # A topic, or a file and its folder. The path of a bag is not a name of its topics.
+    _, colon, topic = source.rpartition(":/")
+    is_topic = colon and not topic.startswith("/")
+    name = topic if is_topic else "/".join(source.split("/")[-2:])
+    if is_named_groundtruth(name) or is_named_groundtruth(trajectory.frame):
         return "groundtruth"
     if trajectory.covariances is not None or (
         trajectory.velocities is not None and trajectory.gyroscope_biases is None

@@ -169,8 +169,12 @@ def test_stamps_that_are_no_times(tmp_path: Path) -> None:
         ]
         return str(write(tmp_path / name, messages))
 
+    zero = read_trajectory(bag("zero", [0, 0, 0]))
+    assert zero.stamps.tolist() == [0, 1, 2]  # the log times
+    (remark,) = [item for item in zero.reading.remarks if item.code == "log_times"]
+    assert remark.level is Level.WARNING
     with pytest.raises(InputError, match=r"header\.stamp: all timestamps are zero"):
-        read_trajectory(bag("zero", [0, 0, 0]))
+        read_trajectory(bag("one message", [0]))
     with pytest.raises(InputError, match=r"all timestamps \(3\) are equal"):
         read_trajectory(bag("same", [10**18] * 3))
     some = read_trajectory(bag("some", [0, 10**18, 10**18 + 1, 10**18 + 2]))

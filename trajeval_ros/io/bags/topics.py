@@ -10,7 +10,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.formatting.remarks import Level, Remark, note
+from trajeval_ros.formatting.remarks import Level, Remark, note, warning
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.reading import FORMAT, SourceInfo
@@ -209,8 +209,24 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
     if nested is not None and not nested.stamp:
         remarks = (*remarks, note("log_times", "no timestamps in messages: log times used"))
     kind = f"{topic.type}, field {nested.field}" if nested and nested.field else topic.type
+    columns, remarks = _with_times(reader.poses(), remarks)
     everything = (note(FORMAT, f"format: {kind}"), *remarks, *damage)
-    return trajectory_of_columns(where, name, topic.type, reader.poses(), everything, why)
+    return trajectory_of_columns(where, name, topic.type, columns, everything, why)
+
+
+def _with_times(
+    columns: PoseColumns, remarks: tuple[Remark, ...]
+) -> tuple[PoseColumns, tuple[Remark, ...]]:
+    """Return poses with log times if all timestamps are zero; not those of one message."""
+    rows, receptions = columns.rows, columns.receptions
+    if columns.stamps.any() or receptions is None or not len(rows) or rows[0] == rows[-1]:
+        return columns, remarks
+    text = (
+        "all timestamps of the headers are zero: log times used, which include delays; "
+        "--time-offset auto estimates the delay"
+    )
+    remark = warning("log_times", text)
+    return columns.replaced(stamps=receptions.times), (*remarks, remark)
 
 
 def trajectory_of_columns(

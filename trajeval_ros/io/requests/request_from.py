@@ -48,6 +48,7 @@ def request_from(settings: Mapping[str, Any]) -> Request:
     covariance = plain.pop("covariance", NONE)
     alert_limit, risk = plain.pop("alert_limit", None), plain.pop("risk", None)
     time_span = TimeSpan.parse(plain.pop("start", None), plain.pop("end", None))
+    modality = given.get("modality")
     table = plain.pop("align_states") if _is_table(given.get("align_states")) else None
     calibration = _calibration(offset, hand_eye)
     of_protocol = {item: value for item, value in plain.items() if _is_of_protocol(item)}
@@ -76,7 +77,9 @@ def request_from(settings: Mapping[str, Any]) -> Request:
         time_span=time_span,
         states_table=() if table is None else parse_first_states(table),
         integrity=None if alert_limit is None else _integrity(alert_limit, risk),
-        gauge_is_default=name == "default" and not given.keys() & {"gauge", "modality"},
+        gauge_is_default=name == "default"
+        and "gauge" not in given
+        and modality in (None, "lidar"),
         **{item: value for item, value in others.items() if "." not in item},
     )
     changed: Request = _replaced(
