@@ -194,44 +194,35 @@ def _missing(
     With it, names of all columns as examples, the quantity included.
     """
     columns = list(layout.columns)
-    clock = _clock_of(layout, table.values, plain)
     has_rotation = not set(ROTATIONS).isdisjoint(layout.groups)
+    is_unpaired = layout.time_name in ("", FRAME)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
+        clocks = [
+            at
+            for at, column in enumerate(table.values.T)
+            if is_unpaired
+            and columns[at] == IGNORED
+            and not re.fullmatch(_QUANTITY, plain[at])
+            and is_clock(column)
+        ]
+        lengths = [
+            np.linalg.norm(table.values[:, at : at + 4], axis=1) for at in range(len(columns) - 3)
+        ]
     if not layout.has_places:
         return "position", [example_for(table, columns)]
-    if clock is not None:
+    if clocks:
         columns = [IGNORED if name == FRAME else name for name in columns]
-        columns[clock] = "t"
+        columns[clocks[0]] = "t"
         return "time", [" ".join(columns)]
     if "planar" in layout.groups and unknown:
         columns[unknown[0]] = "z"
         return "height", [" ".join(columns)]
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
-        lengths = [
-            np.linalg.norm(table.values[:, at : at + 4], axis=1) for at in range(len(columns) - 3)
-        ]
     four = [at for at, length in enumerate(lengths) if (np.abs(length - 1.0) < 1e-2).all()]
     if not layout.is_geographic and not has_rotation and four:  # neighbours of unit length
         before, after = columns[: four[0]], columns[four[0] + 4 :]
         orders = "qx qy qz qw", "qw qx qy qz"
         return "rotation", [" ".join([*before, order, *after]) for order in orders]
     return "", []
-
-
-def _clock_of(layout: Layout, sample: Floats, plain: Sequence[str]) -> int | None:
-    """Return the first ignored column that may be the time, if rows are paired by number."""
-    if layout.time_name not in ("", FRAME):
-        return None
-    with np.errstate(over="ignore", invalid="ignore"):
-        return next(
-            (
-                at
-                for at, name in enumerate(layout.columns)
-                if name == IGNORED
-                and not re.fullmatch(_QUANTITY, plain[at])
-                and is_clock(sample[:, at])
-            ),
-            None,
-        )
 
 
 def _unit_of(names: Sequence[str], layout: Layout) -> str:

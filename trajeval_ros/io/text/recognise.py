@@ -10,7 +10,7 @@ from trajeval_ros.io.text.header_names import from_header, plain_of, split_heade
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, example_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
 from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment
-from trajeval_ros.io.text.table import MIXED, SEPARATORS, TextTable
+from trajeval_ros.io.text.table import MIXED, SEPARATORS, TextTable, body_of
 
 _LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
 _VICON_UNIT = r"|m/?s?|mm|cm|km|deg|rad|s|ms|us|ns"
@@ -47,22 +47,20 @@ def _certain(table: TextTable) -> Layout:
             f"it is of Qualisys, with the columns {lines[0].split()}, usually in mm and degrees; "
             f"name them: {{option}} '{' '.join(names[: table.columns])}'"
         )
-    uncommented = ""  # line next to the rows
+    uncommented = [line for line in lines if body_of(line).strip()]
     for at, line in enumerate(lines):
-        by_comment = line.lstrip().startswith(("#", "%"))
-        uncommented = uncommented or ("" if by_comment else line)
-        if by_comment or at == 0 or not table.named:
+        if at == 0 or line.lstrip().startswith(("#", "%")) or not uncommented:
             layout = _titled(table, line, lines[at + 1 :], has_clock)
             if layout is not None:
                 return layout
     example = f"{{option}} '{example_for(table)}'"
     if uncommented:
-        counts = [len(split_header(uncommented, separator)) for separator in SEPARATORS]
+        counts = [len(split_header(uncommented[0], separator)) for separator in SEPARATORS]
         is_prose = not has_clock and table.columns not in counts
         if not (is_prose and {"unit", "matrix"} & set(by_rows(table).checks)):
             raise InputError(
                 f"line {table.first} does not name {table.columns} known columns: "
-                f"{uncommented[:80]!r}, above the first row {table.first_line!r}; name the "
+                f"{uncommented[0][:80]!r}, above the first row {table.first_line!r}; name the "
                 f"columns, as in {example}, with {IGNORED} for columns to ignore"
             )
     if has_clock:

@@ -22,7 +22,6 @@ from trajeval_ros.io.text.table import (
     Records,
     TextTable,
     body_of,
-    ends_with_separator,
     number,
     split,
 )
@@ -61,8 +60,8 @@ def sniff(
     commas = _has_decimal_commas(path, list(bodies.items())[-_LATE:])
     if commas:
         bodies = {at: body.replace(",", ".") for at, body in bodies.items()}
-    late = list(bodies.values())[-_LATE:]
-    separator, columns = _separator(late, len(names))
+    late = list(bodies)[-_LATE:]
+    separator, columns, at_end = _separator([bodies[at] for at in late], len(names))
     if not columns and names:
         first_line = next(iter(bodies.values()), "")
         most = max(len(split(first_line, mark)) for mark in SEPARATORS)
@@ -72,32 +71,28 @@ def sniff(
         )
     if columns > _MOST_COLUMNS:
         raise InputError(f"{path} has {columns} columns, more than {_MOST_COLUMNS}; reduce them")
-    at_end = bool(late) and all(ends_with_separator(split(body, separator)) for body in late)
 
     def row_at(at: int) -> list[str]:
-        row = split(bodies[at], separator)
-        return row[:-1] if at_end and row[-1:] == [""] else row
+        return split(bodies[at], separator, at_end=at_end)
 
     if names:  # only these columns are read
         numeric = [at for at, name in enumerate(names) if name not in _OF_ANY_KIND]
     else:
-        rows = [row for at in list(bodies)[-_LATE:] if len(row := row_at(at)) == columns]
-        numeric = _numeric_columns(rows[len(rows) // 2 :], columns)
-    first = next(
-        (
-            at
-            for at in bodies
-            if len(row := row_at(at)) == columns
-            and any(row)
-            and all(number(row[place]) is not None for place in numeric)
-        ),
-        None,
-    )
+        rows = [row for row in map(row_at, late) if len(row) == columns]
+        rows = rows[len(rows) // 2 :]
+        filled = Counter(at for row in rows for at, word in enumerate(row) if word)
+        text = Counter(at for row in rows for at, word in enumerate(row) if number(word) is None)
+        numeric = [at for at in range(columns) if 2 * text[at] <= filled[at]]
+
+    def is_row(row: list[str]) -> bool:
+        is_filled = len(row) == columns and any(row)
+        return is_filled and all(number(row[at]) is not None for at in numeric)
+
+    first = next((at for at in bodies if is_row(row_at(at))), None)
     if first is None or not numeric:
         raise InputError(f"{path} is text without a row of numbers; give a file with poses")
-    above = {at: row_at(at) for at in bodies if at < first}
-    for at, row in above.items():
-        _check_line_above(f"{path}, line {at + 1}", row, numeric, columns, bool(names))
+    for at in itertools.takewhile(lambda at: at < first, bodies):
+        _check_line_above(f"{path}, line {at + 1}", row_at(at), numeric, columns, bool(names))
     after = itertools.islice(((at, row_at(at)) for at in bodies if at >= first), _SAMPLE)
     sample = dict(itertools.takewhile(lambda item: len(item[1]) == columns, after))
     values = np.array([[number(word) for word in row] for row in sample.values()], np.float64)
@@ -112,7 +107,6 @@ def sniff(
         path, functools.partial(open_lines, path) if records is None else records.open,
         separator, columns, first,
         header=[line for line in lines[:first] if line.strip()],
-        named=bool(above),
         sample=list(sample.values()), sample_lines=list(sample), values=values,
         texts=np.array(is_text), comment=signs[0] if signs else None,
         plain=separator != MIXED and not commas and '"' not in lines[first] and len(signs) < 2,
@@ -139,17 +133,19 @@ def _has_decimal_commas(path: Path, late: Sequence[tuple[int, str]]) -> bool:
     return False
 
 
-def _separator(late: Sequence[str], least: int) -> tuple[str, int]:
+def _separator(late: Sequence[str], least: int) -> tuple[str, int, bool]:
     """Return the separator with which most fields are numbers, and the number of columns.
 
-    `least`: number of columns, or 0. The number of columns is 0 if there are no numbers.
+    Last, whether lines end with the separator. `least`: number of columns, or 0. The number of
+    columns is 0 if there are no numbers.
     """
-    best, separator, columns = (0, 0, 0), "", 0
+    best, result = (0, 0, 0), ("", 0, False)
     for candidate in (*SEPARATORS, MIXED) if late else ():
         if candidate in (",", ";", "\t") and candidate not in late[-1]:
             continue
         rows = [split(line, candidate) for line in late]
-        if all(map(ends_with_separator, rows)):
+        at_end = all(len(row) > 1 and not row[-1] for row in rows)
+        if at_end:
             rows = [row[:-1] for row in rows]
         widths = Counter(len(row) for row in rows if len(row) >= least)
         if not widths:
@@ -162,20 +158,10 @@ def _separator(late: Sequence[str], least: int) -> tuple[str, int]:
         # Most numbers, then fewest other fields, then the shortest separator.
         rank = (count, count - len(words), -len(candidate))
         if count and rank > best:
-            best, separator, columns = rank, candidate, width
+            best, result = rank, (candidate, width, at_end)
         if count == len(words) and candidate == "":
             break  # more separators find no more numbers
-    return separator, columns
-
-
-def _numeric_columns(rows: Sequence[list[str]], columns: int) -> list[int]:
-    """Return the columns that are mostly numbers."""
-    numeric = []
-    for at in range(columns):
-        words = [row[at] for row in rows if row[at]]
-        if 2 * sum(number(word) is not None for word in words) >= len(words):
-            numeric.append(at)
-    return numeric
+    return result
 
 
 def _check_line_above(

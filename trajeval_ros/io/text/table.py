@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -57,7 +57,6 @@ class TextTable:
     columns: int
     first: int  # index of the line with the first row
     header: list[str]  # lines above it
-    named: bool  # whether a line above it has no comment sign
     sample: list[list[str]]  # fields of the first rows
     sample_lines: list[int]  # indices of their lines
     values: Floats  # (N, columns), the sample as numbers, NaN for what is none
@@ -112,24 +111,24 @@ def body_of(line: str) -> str:
     return line
 
 
-def split(line: str, separator: str) -> list[str]:
-    """Return the fields of a row, without spaces and quotes around them."""
-    if separator == "":
-        return [word.strip('"') for word in line.split()]
-    if separator == MIXED:
-        return [word for word in re.split(r"[,;\s\[\]()\"]+", line) if word]
-    if '"' in line:
-        import csv  # few files have quotes
+def split(line: str, separator: str, *, at_end: bool = False) -> list[str]:
+    """Return the fields of a row, without spaces and quotes around them.
 
-        fields = next(csv.reader([line.strip()], delimiter=separator, skipinitialspace=True), [])
+    `at_end`: whether lines end with a separator, after which there is no field.
+    """
+    if separator == "":
+        fields = [word.strip('"') for word in line.split()]
+    elif separator == MIXED:
+        fields = [word for word in re.split(r"[,;\s\[\]()\"]+", line) if word]
     else:
         fields = line.split(separator)
-    return [word.strip(" \t\r\n\"'") for word in fields]
+        if '"' in line:
+            import csv  # few files have quotes
 
-
-def ends_with_separator(fields: Sequence[str]) -> bool:
-    """Return whether nothing follows the last separator of a row."""
-    return len(fields) > 1 and not fields[-1]
+            rows = csv.reader([line.strip()], delimiter=separator, skipinitialspace=True)
+            fields = next(rows, [])
+        fields = [word.strip(" \t\r\n\"'") for word in fields]
+    return fields[:-1] if at_end and fields[-1:] == [""] else fields
 
 
 def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) -> Rows:
@@ -286,9 +285,8 @@ def _repaired(
             if not body.strip() or line.strip() in above:
                 continue
             where = f"{table.path}, line {index}"
-            fields = split(body.replace(",", ".") if table.commas else body, table.separator)
-            if table.at_end and not fields[-1]:
-                fields.pop()
+            body = body.replace(",", ".") if table.commas else body
+            fields = split(body, table.separator, at_end=table.at_end)
             if len(fields) != table.columns:
                 raise InputError(
                     f"{where}: {table.columns} columns expected, found {len(fields)}; correct or "
