@@ -68,7 +68,8 @@ def test_a_divergence_over_three_times_the_whole_path_is_certain(
 
 
 @pytest.mark.parametrize(
-    ("end_s", "is_over", "expected"), [(30.1, True, True), (30.0, True, False), (11.0, False, True)]
+    ("end_s", "is_over", "expected"),
+    [(30.1, True, True), (30.0, True, False), (11.0, False, True)],
 )
 def test_a_long_loss_is_a_fifth_of_the_run_or_lasts(
     end_s: float, *, is_over: bool, expected: bool
