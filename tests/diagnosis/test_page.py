@@ -96,10 +96,12 @@ def without_numbers(text: str) -> str:
 
 
 def table() -> str:
-    """Return the rows of the page's table: names, messages without numbers, and options."""
+    """Return the rows of the page's table: names, messages without evidence, and options."""
     rows: dict[tuple[str, str], list[str]] = {}
     for cause in CAUSES.values():
-        message = cause.sentence.partition(": corrected, short motions")[0]  # without its evidence
+        # A colon outside of parentheses begins the evidence, if numbers follow.
+        evident = re.fullmatch(r"((?:\([^)]*\)|(?!: )[^(])*): .*\{.*", cause.sentence)
+        message = evident[1] if evident else cause.sentence
         message = re.sub(r"(?<=\w)(\{[^}]*\})+", "", message)  # additions to a word
         message = re.sub(r"\{[^}]*\}", "...", message)
         if message == "...":  # several sentences
@@ -108,7 +110,8 @@ def table() -> str:
         named = ", ".join(f"`--{name.replace('_', '-')}`" for name in options)
         rows.setdefault((message, named), []).append(f"`{cause.name}`")
     return "".join(
-        f"| {', '.join(names)} | {message} | {named} |\n" for (message, named), names in rows.items()
+        f"| {', '.join(names)} | {message} | {named} |\n"
+        for (message, named), names in rows.items()
     )
 
 
