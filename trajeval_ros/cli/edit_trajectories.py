@@ -336,5 +336,5 @@ def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool
         if item.alignment is not None and item.alignment.untrustworthy:
             remarks.remark(WARNING, f"{item.trajectory.name}: {item.alignment.untrustworthy}")
     for trajectory in read:
-        for line in trajectory.reading.said(Level.ERROR):
+        for line in trajectory.reading.messages(Level.ERROR):
             remarks.remark(WARNING, f"{trajectory.name}: {line}")

@@ -58,7 +58,7 @@ def test_truncated_bags(make: Make, share: float, tmp_path: Path) -> None:
     path = make(tmp_path)
     content = path.read_bytes()
     path.write_bytes(content[: int(len(content) * share)])
-    said = refusal(path) or "; ".join(read_trajectory(str(path)).reading.said(Level.ERROR))
+    said = refusal(path) or "; ".join(read_trajectory(str(path)).reading.messages(Level.ERROR))
     assert said
     assert "\n" not in said
     assert path.name in said
@@ -128,7 +128,7 @@ def test_messages_in_a_log_are_read(tmp_path: Path) -> None:
     connection.close()
     read = read_trajectory(str(copy / "unfinished.db3"))
     assert len(read) == 5
-    assert not read.reading.said(Level.ERROR)
+    assert not read.reading.messages(Level.ERROR)
     (copy / "unfinished.db3-wal").write_bytes(b"no log")
     assert len(read_trajectory(str(copy / "unfinished.db3"))) == 2000
 

@@ -20,13 +20,15 @@ def pair_columns(run: RunOutcome) -> ArrayColumns:
         `.sigmas` (N, 6), `.nees`, `.position_nees`, `.rotation_nees` (N,). With a continuous
         groundtruth also `probabilistic.` columns (`probabilistic_columns`).
     """
-    found: dict[str, Any] = {}
+    groups: dict[str, Any] = {}
     if run.consistency is not None:
-        found["consistency"] = _consistency_columns(run.consistency)
+        groups["consistency"] = _consistency_columns(run.consistency)
     if run.likelihood is not None:
-        found["probabilistic"] = probabilistic_columns(run.likelihood)
+        groups["probabilistic"] = probabilistic_columns(run.likelihood)
     return run.evaluation.to_columns() | {
-        f"{kind}.{name}": column for kind, group in found.items() for name, column in group.items()
+        f"{kind}.{name}": column
+        for kind, group in groups.items()
+        for name, column in group.items()
     }
 
 
