@@ -40,7 +40,7 @@ def calibrated(**changed: Any) -> Calibrated:
     rule = SimpleNamespace(time_offset_s=0.0)
     evaluation: Any = SimpleNamespace(protocol=SimpleNamespace(association=rule))
     given: dict[str, Any] = {
-        "evaluation": evaluation, "wanted": CalibrationRequest(offset=True, hand_eye=True),
+        "evaluation": evaluation, "request": CalibrationRequest(offset=True, hand_eye=True),
         "calibration": calibration(), "estimated_from": "", "offset_applied": True,
         "rotation_applied": True, "lever_applied": True, "hand_eye": KNOWN, "of_marker": False,
         "before": Ate(1.0, None), "after": Ate(1.0, None), "if_applied": None,
@@ -55,7 +55,7 @@ def calibrated(**changed: Any) -> Calibrated:
         ({"offset_applied": False}, 5),
         ({"rotation_applied": False}, 3),
         ({"lever_applied": False}, 4),
-        ({"wanted": CalibrationRequest(offset=True, known=KNOWN)}, 1),
+        ({"request": CalibrationRequest(offset=True, known=KNOWN)}, 1),
         ({"calibration": None}, 0),
     ],
 )
@@ -80,21 +80,24 @@ def test_a_known_transform_is_not_estimated() -> None:
         ({"after": Ate(1.051, None), "offset_applied": False, "hand_eye": None}, []),
         ({"after": Ate(1.051, None), "hand_eye": None}, ["calibration_worsens"]),
         # Clocks that differ by more than two half widths of 2 ms.
-        ({"wanted": CalibrationRequest(hand_eye=True)}, ["clock_offset_not_corrected"]),
+        ({"request": CalibrationRequest(hand_eye=True)}, ["clock_offset_not_corrected"]),
         (
             {
-                "wanted": CalibrationRequest(),
+                "request": CalibrationRequest(),
                 "calibration": calibration(offset=parameter(-0.0041)),
             },
             ["clock_offset_not_corrected"],
         ),
         (
-            {"wanted": CalibrationRequest(), "calibration": calibration(offset=parameter(0.0039))},
+            {
+                "request": CalibrationRequest(),
+                "calibration": calibration(offset=parameter(0.0039)),
+            },
             [],
         ),
         (
             {
-                "wanted": CalibrationRequest(),
+                "request": CalibrationRequest(),
                 "calibration": calibration(offset=parameter(0.02, status="insignificant")),
             },
             [],
@@ -108,7 +111,7 @@ def test_warnings_of_a_calibration(changed: dict[str, Any], codes: list[str]) ->
 
 
 def test_clocks_are_compared_with_the_assumed_offset() -> None:
-    some = calibrated(wanted=CalibrationRequest())
+    some = calibrated(request=CalibrationRequest())
     some.evaluation.protocol.association.time_offset_s = 0.0165  # type: ignore[misc]
     assert _remarks(some) == []
     some.evaluation.protocol.association.time_offset_s = 0.0155  # type: ignore[misc]

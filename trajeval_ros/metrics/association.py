@@ -280,7 +280,7 @@ def _at_groundtruth(
         coverage=completeness(groundtruth, rows),
         dropped=add_counts(estimate.reading.dropped, dropped),
         groundtruth_rows=rows,
-        interpolation=meter.found if bracket.is_between else None,
+        interpolation=meter.interpolation if bracket.is_between else None,
     )
 
 
