@@ -119,7 +119,7 @@ def test_limits_are_those_of_the_table_in_the_documentation() -> None:
     assert {name: (float(limit), unit) for name, limit, unit in rows} == {
         signal.name: (signal.limit, signal.unit) for signal in SIGNALS
     }
-    assert AlarmBook(3.0).limit("step") == pytest.approx(6.0)
+    assert AlarmBook(3.0).limit("step") == pytest.approx(4.5)
     assert AlarmBook().limit("pair_deg_5s.wheel") == 3.0
 
 

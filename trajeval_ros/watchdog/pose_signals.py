@@ -25,7 +25,9 @@ from trajeval_ros.watchdog.signals import Signals, finite
 _USUAL_S, _LATELY_S = 10.0, 1.0
 _MOVING_MPS = 0.05
 _SAME = 1e-9  # m
-_COARSEST_M = 5e-3  # a longer step after a repeated position is a motion
+# Of encoders: a longer step after a repeated position is a motion, and larger innovations are
+# no multiples of few steps.
+_COARSEST_M, _MOST_STEPS = 5e-3, 5.0
 _CORRECTION_S = 1.0
 
 # Columns of a step, from one state to the next, after `TIME` and `SINCE`: difference from motion
@@ -94,7 +96,8 @@ class SmoothSignal:
         usual = self._median(_INNOVATION, rows - self._lately - 1, self._usual)
         lately = self._median(_INNOVATION, rows, self._lately)
         speed = self._median(_SPEED, rows, self._lately)
-        resolution = np.where(resolution < _COARSEST_M, resolution, 1e-9)
+        counts = (resolution < _COARSEST_M) & (usual < _MOST_STEPS * resolution)
+        resolution = np.where(counts, resolution, 1e-9)
         smooth = np.maximum(usual, 1e-4) / np.maximum(lately, resolution)
         return {"smooth": finite(times, np.where(speed > _MOVING_MPS, smooth, 0.0 * speed))}
 

@@ -53,7 +53,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("twist_m_5s", "m", "twist", 0.2, "translation in 5 s, pose against twist"),
     Signal("smooth", "", "", 60.0, "median innovation over innovation of the last second"),
     *(
-        Signal(kind, "", "", 2.0, f"{words}, in multiples of the usual differences")
+        Signal(kind, "", "", 1.5, f"{words}, in multiples of the usual differences")
         for kind, words in (
             ("step", "jump of the pose"),
             ("restart", "jump of the pose to the first one"),
