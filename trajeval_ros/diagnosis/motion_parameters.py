@@ -158,7 +158,7 @@ class _GaussNewton:
 
     def _linearised(self) -> tuple[Floats, Floats]:
         """Return residuals (N, k) and their derivatives (N, k, 9)."""
-        rotations, displacements = self.read.groundtruth
+        rotations, displacements = self.read.truth.motions
         seconds, (*lever, offset_s, rate) = self.seconds[:, None], self.rest
         time = offset_s + rate * seconds
         predicted = (self.displacements + self.swing @ np.array(lever)) @ self.body.T
@@ -172,7 +172,7 @@ class _GaussNewton:
         rows, derivatives = [], []
         for kind in range(-len(kinds), 0):  # of the pairs of rotations and displacements
             (motion, estimated, jacobian), by_time = kinds[kind], self.rates[kind]
-            unit = self.read.of_groundtruth.units[kind][:, None]
+            unit = self.read.truth.units[kind][:, None]
             jacobian[:, :, BODY] = so3.skew(motion)
             by_rate = by_time * seconds
             jacobian[:, :, OFFSET], jacobian[:, :, RATE] = by_time[:, :, None], by_rate[:, :, None]

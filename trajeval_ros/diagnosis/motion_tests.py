@@ -13,6 +13,7 @@ import numpy as np
 
 from trajeval_ros.diagnosis import naming
 from trajeval_ros.diagnosis.clocks import Clock
+from trajeval_ros.diagnosis.column_tests import is_at_rest, rhythm, velocities
 from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, without_defects
 from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.hypotheses import (
@@ -31,7 +32,6 @@ from trajeval_ros.diagnosis.input_pair import (
     TimedPoses,
     lengths,
 )
-from trajeval_ros.diagnosis.input_tests import is_at_rest, rhythm, velocities
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores
 from trajeval_ros.diagnosis.motion_parameters import (
     OFFSET,
@@ -119,7 +119,7 @@ class _Comparison:
         )
         unrelated = scores.unrelated
         oriented = self.motions.has_orientations
-        true_rotations = lengths(scores.read(HYPOTHESES[0]).groundtruth[0])
+        true_rotations = lengths(scores.read(HYPOTHESES[0]).truth.motions[0])
         rotates = oriented and median(true_rotations) > _AT_REST_RAD
         if rotates and self._may_be_euler(scores, best):
             models += scores.likeliest(EULER_HYPOTHESES)
@@ -177,7 +177,7 @@ class _Comparison:
         if best.cause not in _OF_DIRECTIONS or positions > best.score:
             return True
         read = scores.read(best.hypothesis)
-        rotations, unit = read.groundtruth[0], read.of_groundtruth.units[0]
+        rotations, unit = read.truth.motions[0], read.truth.units[0]
         apart = lengths(rotations - read.rotations @ best.body.T) / unit
         sizes_apart = np.abs(lengths(rotations) - lengths(read.rotations)) / unit
         return median(apart) > _MISFIT * (median(sizes_apart) + 0.01)
@@ -215,7 +215,10 @@ class _Comparison:
     ) -> TestResult:
         """Return the offset or the rate of the clock, by the fit if there is one."""
         clock, match = self.clock, self.clock.match
-        span_s, applied_s = self.estimate.span_s / clock.factor, self.inputs.time_offset_s
+        span_s, applied_s = (
+            self.estimate.span_s / clock.factor,
+            self.inputs.protocol.association.time_offset_s,
+        )
         if match is None:
             return TestResult("clocks", why_not="no timestamps, or too little common time")
         statistics = {

@@ -120,7 +120,7 @@ def rotations(scores: ModelScores, detail: str = "") -> Detection:
     read = scores.read(HYPOTHESES[0])
     groundtruth, estimate = (
         max(float(np.minimum(lengths(vectors), math.pi).sum()), 1e-12)
-        for vectors in (read.groundtruth[0], read.rotations)
+        for vectors in (read.truth.motions[0], read.rotations)
     )
     ratio = estimate / groundtruth
     how, check = "in no convention", "order and signs of Euler angles; a compass is clockwise"
@@ -152,7 +152,7 @@ def _axes_options(scores: ModelScores, model: Model) -> list[tuple[float, str]]:
         return math.degrees(math.acos(min(max(float(rotated[2]), -1.0), 1.0)))
 
     options = [(tilt_deg(np.eye(3)[2]), f"positions={_axes(axes)}")]
-    if not model.is_mirrored:  # the rotations may have been converted
+    if np.linalg.det(axes) > 0.0:  # the rotations may have been converted
         options.append((tilt_deg(axes[:, 2]), f"rotations={_axes(axes.T)}"))
     return options
 
@@ -241,7 +241,7 @@ def body_and_lever(
     The correction is the pose of the groundtruth's body in the estimate's, T_B_M.
     """
     matrix, covariance = parameters.body, parameters.covariance
-    if model.is_mirrored and (model.axes == -np.eye(3)).all():
+    if model.mirrors_poses:
         matrix = matrix @ -mirror_of(scores, model).T  # what the mirror leaves
     rotation, lever = lie.rotation_vector(lie.from_matrix(matrix)), parameters.values[LEVER]
     statistics = {

@@ -16,7 +16,6 @@ from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.metrics.statistics import median
 
-MOTION_COUNT = 400  # largest number of motions, which bounds the cost
 MOTION_S = 1.5  # duration: noise matters in shorter motions, and drift in longer ones
 DERIVATIVE_S = 0.05  # half the interval of a numerical derivative by the time offset
 # A step of so many median steps is a jump; more jumps than the second number are usual motion.
@@ -96,7 +95,7 @@ class ShortMotions:
         mapped = times + offset_s + rate * (times - middle_s)
         first, last = np.searchsorted(mapped, groundtruth.seconds[[0, -1]])
         count = max(int(last - first), 0)
-        start = first + evenly(count, min(count, MOTION_COUNT))
+        start = first + evenly(count, min(count, SAMPLE))
         end = np.searchsorted(times, times[start] + 0.999 * duration_s)
         start, end = start[end < last], end[end < last]
         fits = times[end] - times[start] < 2.0 * duration_s + 0.2

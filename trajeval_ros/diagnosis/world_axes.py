@@ -142,7 +142,7 @@ def _vertical_of_both(
     read = scores.read(model.hypothesis)
     start = read.motions.groundtruth.quaternions
     assert start is not None
-    rotations = bounded(lie.rotate(start[0], read.groundtruth[0]))
+    rotations = bounded(lie.rotate(start[0], read.truth.motions[0]))
     about = np.abs(np.linalg.eigh(rotations.T @ rotations)[1][:, -1])
     for row in (0, 1):
         if abs(matrix[row, row]) > _SHARED_AXIS and about[row] > _ROTATES_ABOUT:
