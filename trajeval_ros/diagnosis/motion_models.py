@@ -88,6 +88,15 @@ class Model:
         return "mirrored" if self.mirrors_poses else "axes_mixed"
 
 
+class Candidates(NamedTuple):
+    """The columns of K models of a hypothesis, without likelihoods."""
+
+    axes: Floats  # (K, 3, 3)
+    bodies: Floats  # (K, 3, 3)
+    log_priors: Floats  # (K,)
+    agreements: Floats  # (K,)
+
+
 class Unrelated(NamedTuple):
     """Logarithms of the likelihoods of models without a common motion."""
 
@@ -222,32 +231,27 @@ class ModelScores:
 
     def likeliest(self, hypotheses: Sequence[Hypothesis]) -> list[Model]:
         """Return the best models of hypotheses and those as read, with likelihoods, unsorted."""
-        rows = [(one, *row) for one in hypotheses for row in self._candidates(one)]
-        misfits = [np.maximum(1.0 - row[-1], _LEAST_RESIDUAL**2) for row in rows]
+        groups = [(one, candidates) for one in hypotheses for candidates in self._candidates(one)]
         costs = [
-            3.0 * self.evidence * np.log(misfit) - row[-2]
-            for row, misfit in zip(rows, misfits, strict=True)
+            3.0 * self.evidence * np.log(np.maximum(1.0 - some.agreements, _LEAST_RESIDUAL**2))
+            - some.log_priors
+            for _, some in groups
         ]
-        ends = np.cumsum([0, *map(len, costs)])
+        begins = np.cumsum([0, *map(len, costs)])
         chosen = list(np.argsort(np.concatenate(costs))[:_RANKED])
         # As read, with equal bodies and with any rotation between them: the first row of each.
-        chosen += [
-            end for end, row in zip(ends, rows, strict=False)
-            if row[0].cause == AS_READ and end not in chosen
-        ]  # fmt: skip
+        as_read = [at for at, (one, _) in enumerate(groups) if one.cause == AS_READ]
+        chosen += [begins[at] for at in as_read if begins[at] not in chosen]
         models = []
         for number in chosen:
-            group = int(np.searchsorted(ends, number, side="right")) - 1
-            hypothesis, *columns = rows[group]
-            axes, body, prior, agreement = (column[number - ends[group]] for column in columns)
-            models.append(Model(hypothesis, axes, body, float(prior), float(agreement)))
+            at = int(np.searchsorted(begins, number, side="right")) - 1
+            hypothesis, some = groups[at]
+            axes, body, log_prior, agreement = (column[number - begins[at]] for column in some)
+            models.append(Model(hypothesis, axes, body, float(log_prior), float(agreement)))
         return self.with_likelihoods(models)
 
-    def _candidates(self, hypothesis: Hypothesis) -> Iterator[tuple[Floats, ...]]:
-        """Yield axes, bodies, log priors and agreements of the models of a hypothesis.
-
-        The bodies are equal, have permuted axes, or any rotation.
-        """
+    def _candidates(self, hypothesis: Hypothesis) -> Iterator[Candidates]:
+        """Yield the models of a hypothesis: with equal and permuted axes, and any rotation."""
         rows = np.array([0, MIRRORED])
         if self.motions.has_orientations:
             rows = np.arange(len(PERMUTATIONS)) if hypothesis.with_axes else rows[:1]
@@ -255,15 +259,15 @@ class ModelScores:
         moments = self.read(hypothesis).moments(axes)
         traces, rotations = best_rotations(moments)
         if not self.motions.has_orientations:  # a rotation of the world
-            yield axes, rotations, priors, traces
+            yield Candidates(axes, rotations, priors, traces)
             return
         permuted = np.einsum("qab,pab->pq", PROPER, moments) / 2.0
         best = permuted[:, 1:].argmax(axis=1) + 1
         of_bodies = np.where(rows == MIRRORED, MIRROR_LOG_PRIORS[best], OTHER_BODY)
         equal = np.broadcast_to(_IDENTITY, rotations.shape)
-        yield axes, equal, priors, permuted[:, 0]
-        yield axes, PROPER[best], priors + of_bodies, permuted[:, 1:].max(axis=1)
-        yield axes, rotations, priors + ROTATED_BODY, traces / 2.0
+        yield Candidates(axes, equal, priors, permuted[:, 0])
+        yield Candidates(axes, PROPER[best], priors + of_bodies, permuted[:, 1:].max(axis=1))
+        yield Candidates(axes, rotations, priors + ROTATED_BODY, traces / 2.0)
 
     def with_likelihoods(self, models: list[Model]) -> list[Model]:
         """Return models with their scales and likelihoods."""
