@@ -214,4 +214,5 @@ def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
     of_sides = Diagnosis.of(tests_of_columns(inputs))
     if of_sides.names_any(_FINAL):
         return of_sides
-    return Diagnosis.of([*of_sides.examined, *tests_of_motion(inputs)])
+    is_copied = of_sides.names_any(["duplicated"])
+    return Diagnosis.of([*of_sides.examined, *tests_of_motion(inputs, is_copied=is_copied)])

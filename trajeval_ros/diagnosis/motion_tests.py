@@ -62,8 +62,8 @@ _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
 _STEPS_APART = 0.05  # of a step of the estimate, healthy offset of its timestamps
 
 
-def tests_of_motion(inputs: InputPair) -> list[TestResult]:
-    """Apply all tests of motions."""
+def tests_of_motion(inputs: InputPair, *, is_copied: bool) -> list[TestResult]:
+    """Apply all tests of motions. In an order of time, rows that are copied look like a rate."""
     groundtruth, estimate = inputs.in_order
     if min(groundtruth.span_s, estimate.span_s) < SHORTEST_S or len(estimate) < FEWEST:
         return [TestResult("motions", why_not=f"a side is shorter than {SHORTEST_S:g} s")]
@@ -78,7 +78,7 @@ def tests_of_motion(inputs: InputPair) -> list[TestResult]:
         has_defects = bool(defects.seen)
         if has_defects:
             groundtruth = without_defects(groundtruth)
-        clock = Clock.between(groundtruth, estimate, searches_rate=not has_defects)
+        clock = Clock.between(groundtruth, estimate, searches_rate=not (has_defects or is_copied))
         estimate = estimate.shifted(0.0, clock.factor - 1.0)
     motions = ShortMotions.between(groundtruth, estimate, gap_s, clock.offset_s)
     if len(motions) >= FEWEST:
