@@ -29,12 +29,11 @@ SMALL_S = 0.25  # offsets within this are near zero: a search finds them without
 _LARGEST = 0.999  # correlation, for its logarithm
 _BELOW_OUTLIERS = 0.98  # share of the rates that are used as they are; larger ones are reduced
 _PARTS, _PART_REACH_S = 3, 6.0  # parts with their own offsets, and largest change of an offset
-_SLOWEST, _FASTEST, _RATE_PRIOR = 0.4, 2.5, -4.0  # clock rates of the search, which are rare
+_SLOWEST, _FASTEST = 0.4, 2.5  # clock rates of the search
 _FIRST_SPAN_S, _COHERENT_S = 30.0, 0.7  # of the search: first part, and shift at its ends
 _REFINED = 4  # rates to refine with a longer part
 USABLE_PEAK = 0.6  # correlation from which on an offset is applied to other tests
-_ALIKE_PEAK, _ALIKE_RATE = 0.95, 0.985  # correlations from which on no other rate is searched
-_NEAR_S = 0.5  # largest offset with the second of these: turn rates can match at random
+_ALIKE = 0.97  # correlation from which on no other rate is searched
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
 
 
@@ -270,18 +269,19 @@ class Clock:
             others = max(match.log_odds_at_zero - prior, match.log_odds_of_second)
             is_clear = match.log_odds > others + ODDS
             is_small = abs(match.offset_s) <= SMALL_S
-            is_alike = match.peak > _ALIKE_PEAK or (
-                match.highest > _ALIKE_RATE and abs(match.offset_s) < _NEAR_S
-            )
+            # With a large offset, turn rates alone can match at random.
+            is_alike = (match.highest if is_small else match.peak) > _ALIKE
             if not is_alike:
                 gain, factor = offsets_of_parts(*rates, match)
         # No offset explains the rates, or parts of the run have different ones.
         if searches_rate and not is_alike and (not (is_clear or is_small) or gain > ODDS):
             likely = 0.0 if match is None else match.log_odds
-            faster = ClockMatch.between(rates[0], rates[1].by_faster_clock(factor))
+            faster = None
+            if ODDS < gain < math.inf:
+                faster = ClockMatch.between(rates[0], rates[1].by_faster_clock(factor))
             if faster is None or faster.log_odds < likely + gain - ODDS:
                 factor, faster = search_rate(*rates)
-            least = likely + ODDS - prior - _RATE_PRIOR
+            least = likely + ODDS - prior - MISTAKE  # rates are rarer
             if faster is not None and faster.log_odds > least and faster.peak > USABLE_PEAK:
                 return cls(faster, faster.offset_s, factor, is_stated=True)
         if match is None or match.peak <= USABLE_PEAK:

@@ -35,13 +35,12 @@ from trajeval_ros.metrics.statistics import median
 # Rotations of a body within this angle of other axes are stated as these axes.
 _EXACT_AXES_DEG = 3.0
 _TILTS_APART_DEG = 20.0  # that gravity distinguishes; less is drift
-_LEAST_LEVER_M = 0.02  # shorter lever arms have no effect worth a statement
 _UNITS = {
     "millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048, "kilometres": 1e3
 }  # fmt: skip
 # The scale of a monocular estimate is often as near to a foot of the groundtruth.
 _FOOT, _FOOT_SPREAD, _FOOT_ODDS = (GROUNDTRUTH, "feet"), 0.01, 2.5
-_LEAST_LOG_SCALE, _DIVERGED = 0.2, math.log(1e4)  # a scale error, and one that no unit has
+_DIVERGED = math.log(1e4)  # a scale that no unit has
 _FAST_M = 200.0  # per motion: no body that is localised is as fast, so the unit is smaller
 # Ratios of the sums of rotation angles: of another unit, and of constant orientations.
 _OTHER_UNIT, _CONSTANT = 0.1, 1e-3
@@ -225,7 +224,7 @@ def unit_or_scale(
     elif is_unit:
         factor = f"{_UNITS[unit]:g}"
         return (Detection.of("unit", scale=scale, side=side, unit=unit, factor=factor),)
-    elif gauge.has_scale or abs(log) < _LEAST_LOG_SCALE or any_scale - healthy < ODDS + MISTAKE:
+    elif gauge.has_scale or any_scale - healthy < ODDS + MISTAKE:
         return ()
     return (Detection("scale", values),)
 
@@ -242,7 +241,7 @@ def body_and_lever(scores: ModelScores, parameters: Parameters, model: Model) ->
     angle_deg, lever_m = math.degrees(float(lengths(rotation))), float(lengths(lever))
     odds = log_odds(rotation, covariance[BODY, BODY], SPREADS["body"])
     lever_odds = log_odds(lever, covariance[LEVER, LEVER], SPREADS["lever"])
-    is_rotated, has_lever = odds > ODDS, lever_odds > ODDS and lever_m > _LEAST_LEVER_M
+    is_rotated, has_lever = odds > ODDS, lever_odds > ODDS
     nearest = PROPER[int(np.einsum("qij,ij->q", PROPER, matrix).argmax())]
     if math.degrees(float(lie.angle(lie.from_matrix(matrix @ nearest.T)))) < _EXACT_AXES_DEG:
         matrix = nearest
