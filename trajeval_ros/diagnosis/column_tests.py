@@ -97,13 +97,11 @@ def duplicated_rows(inputs: InputPair) -> TestResult:
 
 def _repeats(poses: TimedPoses) -> tuple[int, float, float]:
     """Return the number of repeated probes, their distance in rows, and their extent."""
-    # Candidates by a hash table of the first coordinate, which is faster than a sort.
-    bits = np.ascontiguousarray(poses.positions[:, 0]).view(np.int64)
-    bits = (bits ^ (bits >> 23)) & 0x3FFFF
-    table = np.zeros(0x40000, dtype=bool)
-    table[bits[evenly(len(poses), SAMPLE)]] = True
-    some = np.flatnonzero(table[bits])
-    some = some[:: len(some) // 20_000 + 1]
+    # Candidates by the first coordinate.
+    along = np.ascontiguousarray(poses.positions[:, 0])
+    probes = np.sort(along[evenly(len(along), SAMPLE)])
+    some = np.flatnonzero(probes[np.searchsorted(probes[:-1], along)] == along)
+    some = some[every_nth(max(len(some), 1), 20_000)]
     columns = [poses.positions] + ([] if poses.quaternions is None else [poses.quaternions])
     rows = np.concatenate([column[some] for column in columns], axis=1)
     order = np.lexsort((some, rows[:, 1], rows[:, 0]))

@@ -149,12 +149,8 @@ EULER_HYPOTHESES = _euler_table()
 
 def _signed_permutations() -> Floats:
     """Return the 48 matrices that exchange and flip axes, the identity first, by trace."""
-    rows = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            rows.append(matrix)
+    orders, signs = itertools.permutations(np.eye(3)), itertools.product((1.0, -1.0), repeat=3)
+    rows = [np.diag(some) @ order for order, some in itertools.product(orders, signs)]
     return np.array(sorted(rows, key=lambda m: (-float(np.trace(m)), -float(np.linalg.det(m)))))
 
 

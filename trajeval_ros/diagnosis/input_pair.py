@@ -15,7 +15,6 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.interpolation import mix, slerp, steps_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import every_nth
-from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.metrics.association import INTERPOLATING
 from trajeval_ros.metrics.statistics import median
 from trajeval_ros.metrics.tracking_loss import FROZEN
@@ -91,11 +90,6 @@ class TimedPoses:
         if len(self) < 2:
             return 1.0
         return median(np.diff(self.seconds)[every_nth(len(self) - 1, SAMPLE)])
-
-    @cached_property
-    def moved(self) -> Floats:
-        """Lengths (N - 1,) of the steps between consecutive poses."""
-        return step_lengths(self.positions)
 
     @cached_property
     def extent(self) -> float:
