@@ -31,7 +31,7 @@ _BELOW_OUTLIERS = 0.98  # share of the rates that are used as they are; larger o
 _PARTS, _PART_REACH_S = 3, 6.0  # parts with their own offsets, and largest change of an offset
 _SLOWEST, _FASTEST = 0.4, 2.5  # clock rates of the search
 _FIRST_SPAN_S, _COHERENT_S = 30.0, 0.7  # of the search: first part, and shift at its ends
-_REFINED = 4  # rates to refine with a longer part
+_REFINED = 2  # rates to refine with a longer part
 USABLE_PEAK = 0.6  # correlation from which on an offset is applied to other tests
 _ALIKE = 0.97  # correlation from which on no other rate is searched
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
@@ -69,6 +69,15 @@ class RatesOfMotion:
         known = (np.interp(at, cells, self.known) > _LARGEST).astype(np.float64)
         values = np.array([np.interp(at, cells, row) for row in self.values]) / factor
         return replace(self, known=known, values=values)
+
+    def coarser(self, count: int) -> RatesOfMotion:
+        """Return means of `count` cells; those with a gap are not known."""
+        rows = len(self.known) // count * count
+        known, values = (
+            side[..., :rows].reshape(*side.shape[:-1], -1, count).mean(axis=-1)
+            for side in (self.known, self.values)
+        )
+        return RatesOfMotion(self.start_s, np.floor(known), values, self.cell_s * count)
 
     def cells(self, first: int, end: int) -> RatesOfMotion:
         """Return the rates from one cell to another, excluded."""
@@ -202,6 +211,8 @@ def search_rate(
 
     A part from the middle of the run allows large steps of the rate. Longer parts refine it.
     """
+    fine, count = (groundtruth, estimate), max(int(_COHERENT_S / 2.0 / estimate.cell_s), 1)
+    groundtruth, estimate = (side.coarser(count) for side in fine)
     total_s = len(estimate.known) * estimate.cell_s
     span_s = min(_FIRST_SPAN_S, total_s)
     step = 2.0 * _COHERENT_S / span_s if span_s > 0.0 else 1.0
@@ -241,7 +252,7 @@ def search_rate(
     # Fast motions correlate only within a part of the last step.
     last = ranked[-1] * np.exp(step * np.linspace(-0.5, 0.5, 9))
     factor = float(max(last, key=functools.partial(score, part)))
-    return factor, ClockMatch.between(groundtruth, estimate.by_faster_clock(factor))
+    return factor, ClockMatch.between(fine[0], fine[1].by_faster_clock(factor))
 
 
 @dataclass(frozen=True, eq=False)
