@@ -99,7 +99,9 @@ def table() -> str:
     """Return the rows of the page's table: names, messages without numbers, and options."""
     rows = []
     for cause in CAUSES.values():
-        message = re.sub(r"\{[^}]*\}", "...", cause.sentence)
+        message = cause.sentence.partition(": corrected, short motions")[0]  # without its evidence
+        message = re.sub(r"(?<=\w)(\{[^}]*\})+", "", message)  # additions to a word
+        message = re.sub(r"\{[^}]*\}", "...", message)
         if message == "...":  # several sentences
             message = cause.name.replace("_", " ")
         options = dict.fromkeys(name.partition(".")[2] or name for name in cause.correction)

@@ -80,19 +80,6 @@ def test_no_event_begins_in_what_is_settled() -> None:
     assert all(newest - stamp <= 12 * NANOSECONDS for stamp, newest in settled)
 
 
-def test_the_next_run_continues_with_what_is_learned() -> None:
-    search, estimate = LiveDiscontinuities(), stepped()
-    feed(search, estimate, 0.4, until_s=15.0)
-    following = search.continued()
-    assert search.examine(at_end=True) == []
-    for name, side in (("groundtruth", TRUTH), ("estimate", estimate)):
-        side = side[side.stamps >= int(TRUTH.stamps[0]) + round(15.2 * NANOSECONDS)]
-        following.add(name, side.stamps, rows_of(side), None)
-        search.add(name, side.stamps, rows_of(side), None)
-    assert [event.kind for event in following.examine()] == ["step"]
-    assert search.events == []
-
-
 @pytest.mark.parametrize("rate", [0.3, 1.0, 5.0, 15.0])
 def test_a_gap_is_no_clock_step_at_any_rate_of_a_replay(rate: float) -> None:
     kept = (ESTIMATE.seconds < 18.0) | (ESTIMATE.seconds > 21.0)

@@ -141,19 +141,13 @@ def test_states_that_are_no_poses_are_counted_once(faults: list[tuple[bool, bool
         assert counts.duration_s == (kept.max() - kept.min()) / SECOND
 
 
-def test_counts_are_taken_back() -> None:
+def test_states_and_reasons_are_counted() -> None:
     counts = StateCounts()
     assert counts.duration_s == 0.0
     counts.count(np.array([5, 9, 7]) * SECOND)
     counts.count(np.array([3]) * SECOND)
     assert (counts.poses, counts.first, counts.last) == (4, 3 * SECOND, 9 * SECOND)
     assert counts.duration_s == 6.0
-    counts.take_back(0, 1)
-    assert (counts.poses, counts.last) == (4, 9 * SECOND)
-    counts.take_back(2, 5 * SECOND)
-    assert (counts.poses, counts.first, counts.last) == (2, 3 * SECOND, 5 * SECOND)
-    counts.take_back(2, 4 * SECOND)
-    assert (counts.poses, counts.first, counts.last) == (0, None, None)
     counts.drop("too_late", 2)
     counts.drop("too_late", 0)
     counts.drop("other", 0)

@@ -22,8 +22,8 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.live_clock import FIRST_S, ClockReport, OnlineClock
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.ros.live_estimate import DecodedMessages
-from trajeval_ros.ros.start_decision import HeldMessages
+from trajeval_ros.ros import live_run
+from trajeval_ros.ros.live_runs import NewRunRule
 
 
 def fed(
@@ -265,8 +265,7 @@ def test_groundtruth_without_an_estimate_is_not_held(tmp_path: Path) -> None:
     for part in np.array_split(np.arange(len(alone)), 100):
         live.feed([alone[row] for row in part])
     assert live.run.holds
-    assert live.run._held is not None
-    assert live.run._held.span_s == 0.0
+    assert live.run._held_s == 0.0
     live.feed(feed[len(alone) :])
     assert not live.run.holds
     live.end()
@@ -319,10 +318,18 @@ def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path)
     assert found["live"]["clock"]["offset_s"] == pytest.approx(0.1, abs=5e-3)
 
 
-def test_stamps_that_stand_still_are_not_held_for_ever() -> None:
-    held = HeldMessages()
-    stamps = np.full(1000, 10**18)
-    still = DecodedMessages(Trajectory(stamps, np.zeros((1000, 3))), stamps)
-    for _ in range(300):
-        held.add(1, still)
-    assert held.span_s == np.inf
+def test_stamps_that_stand_still_are_not_held_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_run, "_MOST_HELD", 100)
+    feed = messages(0.0, 2.0)
+    still = [item for topic in (GROUNDTRUTH, ESTIMATE) for item in feed if item[0] == topic][:5]
+    still += [item for item in feed if item[0] == ESTIMATE][:5]
+    live = Live(tmp_path / "live", ODOM, find_offset=True, rule=NewRunRule("ignore"))
+    holds = []
+    for _ in range(15):
+        live.feed(still)
+        holds.append(live.run.holds)
+    assert holds[:9] == [True] * 9
+    assert not holds[-1]
+    live.end()

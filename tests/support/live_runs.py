@@ -22,7 +22,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.ros.live_estimate import LiveEstimate
-from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.live_run import LiveRun, RunPlan
 from trajeval_ros.ros.live_runs import LiveRuns, NewRunRule
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.pose_source import PoseSource, TimeAt
@@ -114,8 +114,8 @@ class Live:
     def _new_run(self) -> LiveRun:
         start = StartDecision(self._body or MarkerBody(), find_offset=self._find_offset)
         is_default = self._words["gauge"] is None and self._words.get("modality") is None
-        arguments = self._sources, self._settings, self.folders[-1], start, self._worker
-        return LiveRun(*arguments, gauge_is_default=is_default)
+        plan = RunPlan(self._sources, self._settings, start, self._worker, {}, is_default)
+        return LiveRun(plan, self.folders[-1])
 
     def _new_folder(self) -> Path:
         folder = self.folder.with_name(f"{self.folder.name}_{len(self.folders) + 1}")

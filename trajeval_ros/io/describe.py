@@ -48,7 +48,7 @@ class TrajectorySummary:
     remarks: tuple[Remark, ...] = ()
 
     @property
-    def said(self) -> tuple[str, ...]:
+    def messages(self) -> tuple[str, ...]:
         """The sentences of the remarks, except the format."""
         return tuple(remark.text for remark in self.remarks if remark.code not in FORMATS)
 
@@ -106,14 +106,14 @@ def _describe_log(source: str, path: Path) -> Description:
     from trajeval_ros.io.ulog import PoseLog
 
     log = PoseLog(path)
-    found = []
+    topics = []
     for topic in log.topics:
         name = f"{source}:{topic}"
         try:
-            found.append(summarize(name, log.trajectory(topic)))
+            topics.append(summarize(name, log.trajectory(topic)))
         except InputError as error:
-            found.append(TrajectorySummary(name, "ULog", log.count(topic), problem=str(error)))
-    return Description(path, tuple(found), remarks=tuple(log.remarks))
+            topics.append(TrajectorySummary(name, "ULog", log.count(topic), problem=str(error)))
+    return Description(path, tuple(topics), remarks=tuple(log.remarks))
 
 
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
@@ -151,8 +151,10 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
                         TrajectorySummary(name, topic.type, topic.count, problem=str(error))
                     )
             elif topic.holds_transforms and not topic.name.endswith("_static"):
-                own = tree_of(turned[tree_topic] for tree_topic in tree_topics(bag, topic.name))
-                for key, edge in own.items():
+                tree_edges = tree_of(
+                    turned[tree_topic] for tree_topic in tree_topics(bag, topic.name)
+                )
+                for key, edge in tree_edges.items():
                     rate_hz, count = _rate_hz(edge.stamps), len(edge.stamps)
                     edges[(topic.name, *key)] = EdgeSummary(
                         topic.name, *key, edge.is_static, count, rate_hz
@@ -218,7 +220,11 @@ def _could_be(source: str, trajectory: Trajectory) -> str:
     """Return the likely role, from the name and from quantities that only estimators output."""
     if trajectory.reading.fixes is not None:
         return "groundtruth"
-    if is_named_groundtruth(source) or is_named_groundtruth(trajectory.frame):
+    # A topic, or a file and its folder. The path of a bag is not a name of its topics.
+    _, colon, topic = source.rpartition(":/")
+    is_topic = colon and not topic.startswith("/")
+    name = topic if is_topic else "/".join(source.split("/")[-2:])
+    if is_named_groundtruth(name) or is_named_groundtruth(trajectory.frame):
         return "groundtruth"
     if trajectory.covariances is not None or (
         trajectory.velocities is not None and trajectory.gyroscope_biases is None

@@ -10,7 +10,6 @@ import numpy as np
 from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
@@ -122,21 +121,6 @@ class OnlineEvaluator:
             block = dataclasses.replace(block, stamps=block.stamps + offset_ns)
         self.buffer.add_estimate(block, dropped)
 
-    def continue_after(self, before: OnlineEvaluator) -> int:
-        """Take the states that the evaluator of the previous run has received and not used.
-
-        Call it before the first state. The settings must be the same.
-
-        Returns:
-            The timestamp, nanoseconds, from which on pairs belong to this run.
-        """
-        buffer = before.buffer
-        self._pair_by(
-            Pairing(buffer.max_gap_s, buffer.limits, at_groundtruth=buffer.at_groundtruth)
-        )
-        self._is_settled = before._is_settled
-        return buffer.hand_over(self.buffer)
-
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate the states since the last call.
 
@@ -245,10 +229,6 @@ class OnlineEvaluator:
         self.frames.gauge = gauge
         self._begin_to_align()
 
-    def judge_moved_groundtruth(self, hand_eye: HandEye) -> None:
-        """Judge covariances from now on by groundtruth moved from a marker to the body."""
-        self.settings = self.settings.with_moved_groundtruth(hand_eye)
-
     def _begin_to_align(self) -> None:
         self._relative = RelativeTracker(self.settings.protocol)
         self._aligning = LiveAlignment(self.settings.protocol, freezes=self.settings.freeze)
@@ -260,10 +240,6 @@ class OnlineEvaluator:
         """
         self.settings = self.settings.with_lengths_and_window_of(settings)
         self._relative = self._relative.with_lengths(self.settings.protocol, self.store.newest)
-
-    def set_offset(self, offset_s: float) -> None:
-        """Set the offset of the estimate's timestamps, seconds; call it before the first state."""
-        self.settings = self.settings.with_offset(offset_s)
 
     def association(self) -> Association:
         """Return all pairs for an offline evaluation; needs a window of the whole run.

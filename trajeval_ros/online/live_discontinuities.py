@@ -37,15 +37,6 @@ class LiveDiscontinuities:
         self._waiting: dict[str, deque[_Block]] = {side: deque() for side in SIDES}
         self._is_over = False
 
-    def continued(self) -> LiveDiscontinuities:
-        """Return the search of the next run, with what this one has learned; this one ends."""
-        following = LiveDiscontinuities()
-        following._search, following._known = self._search, self._known
-        following._waiting, following._is_over = self._waiting, self._is_over
-        self._search, self._is_over = None, True
-        self._waiting = {side: deque() for side in SIDES}
-        return following
-
     def add(self, side: str, stamps: Stamps, rows: Floats, received: Stamps | None) -> None:
         """Take N states of a side in order of arrival.
 

@@ -92,7 +92,7 @@ class Pairing:
         self._decided: _Decided | None = None  # by the last `made`, not counted yet
         self._groundtruth_decided: list[DecidedStates] = []
         self._waits_from = NEVER  # no older state waits
-        self._forgotten_until = self._paired_until = self._decided_until = NEVER
+        self._forgotten_until = self._paired_until = NEVER
         self._is_full = False  # whether states were dropped by number, not by age
         self._left_time_ns, self._left_path_m = 0, 0.0  # of the groundtruth that was forgotten
 
@@ -109,14 +109,6 @@ class Pairing:
     def _track(self) -> Tail:
         """The states of the interpolated side."""
         return self.estimate if self.at_groundtruth else self.groundtruth
-
-    @property
-    def _track_counts(self) -> StateCounts:
-        return self.estimate_counts if self.at_groundtruth else self.groundtruth_counts
-
-    @property
-    def _waiting_counts(self) -> StateCounts:
-        return self.groundtruth_counts if self.at_groundtruth else self.estimate_counts
 
     def pair_at_groundtruth(self) -> None:
         """Interpolate the estimate from now on; call it before the first groundtruth."""
@@ -264,7 +256,6 @@ class Pairing:
         self._waits_from = int(stamps[count]) if count < len(stamps) else int(stamps[-1]) + 1
         self._waiting_side.column("waits")[decided.rows[:count]] = False
         stamps, bracket = stamps[:count], decided.bracket.until(count)
-        self._decided_until = max(self._decided_until, int(stamps[-1]))
         usable = bracket.usable
         if usable.any():
             self._paired_until = max(self._paired_until, int(stamps[usable][-1]))
@@ -284,6 +275,12 @@ class Pairing:
         """
         decided, self._groundtruth_decided = self._groundtruth_decided, []
         return decided
+
+    @property
+    def unused_from(self) -> int:
+        """The timestamp from which on no state is in a pair yet, nanoseconds."""
+        rows = self._waiting_rows(len(self._waiting_side))
+        return int(self._waiting_side.stamps[rows[0]]) if len(rows) else self._paired_until + 1
 
     @property
     def forgettable(self) -> int:
@@ -312,32 +309,6 @@ class Pairing:
         decided = self._first_waiting - 1
         old = int(side.stamps.searchsorted(self.limits.horizon(side.newest)))
         self._leave(side, max(min(decided, max(old, decided - self.limits.past_states)), 0))
-
-    def hand_over(self, following: Pairing) -> int:
-        """Give another pairing the states that wait, and the interpolated ones around and after.
-
-        Both pairings need the two interpolated states around the border. Every other state belongs
-        to one of them. Returns the border, the first timestamp of pairs of the other pairing.
-        """
-        side, track = self._waiting_side, self._track
-        rows = self._waiting_rows(len(side))
-        border = int(side.stamps[rows[0]]) if len(rows) else self._paired_until + 1
-        begin = max(int(track.stamps.searchsorted(border, side="right")) - 1, 0)
-        end = min(int(track.stamps.searchsorted(border)), len(track) - 1)
-        following._receive(following._track, track, slice(begin, None))
-        following._receive(following._waiting_side, side, rows)
-        if len(rows):
-            side.cut(int(rows[0]))
-            self._waiting_counts.take_back(len(rows), self._decided_until)
-        beyond = len(track) - 1 - end
-        if beyond > 0:
-            self._track_counts.take_back(beyond, int(track.stamps[end]))
-            track.cut(end + 1)
-        return border
-
-    def _receive(self, side: Tail, other: Tail, rows: slice | Indices) -> None:
-        add = self.add_groundtruth if side is self.groundtruth else self.add_estimate
-        add(other.trajectory(rows))
 
     def _add(self, side: Tail, counts: StateCounts, block: Trajectory) -> None:
         if not len(block):

@@ -199,12 +199,6 @@ class StateCounts:
             self.first = earliest if self.first is None else min(self.first, earliest)
             self.last = latest if self.last is None else max(self.last, latest)
 
-    def take_back(self, poses: int, last: int) -> None:
-        """Subtract poses from the count, after which `last` is the latest timestamp."""
-        self.poses -= poses
-        if poses:
-            self.first, self.last = (self.first, last) if self.poses else (None, None)
-
     def drop(self, reason: str, count: int) -> None:
         """Count unusable states."""
         count_up(self.dropped, reason, count)

@@ -90,24 +90,25 @@ def remarks_about(
     Peaks are the largest values since the last status. Limits are by name of the quantity.
     """
     faults = list(about_clock_faults(run, estimate))
+    # Clocks that differ measure no delay, and pair poses of different times, which look like other
+    # mistakes.
+    is_clear = not faults and estimate.suspected_step is None
     frozen = [*about_frozen(estimate, snapshot)]
     return [
         *_about_data(run, estimate),
         *_about_coverage(snapshot, limits["coverage"]),
         *_about_rate(estimate, limits["rate_hz"]),
-        # Clocks that differ measure no delay, and pair poses of different times.
-        *([] if faults else _about_lateness(run, estimate)),
+        *(_about_lateness(run, estimate) if is_clear else []),
         *([] if estimate.availability is None else estimate.availability.remarks),
-        *([] if faults else about_loss(snapshot)),
+        *(about_loss(snapshot) if is_clear else []),
         *alarms(peaks, limits),
         *about_integrity(snapshot),
         *_about_start(run),
         *faults,
-        # A clock that stepped, and a frozen side, look like other mistakes.
-        *([] if faults else about_clock_offset(run, estimate)),
-        *([] if faults else about_steps(estimate)),
+        *(about_clock_offset(run, estimate) if is_clear else []),
+        *(about_steps(estimate) if is_clear else []),
         *frozen,
-        *_about_run(run, estimate, snapshot, has_hints=not (faults or frozen or snapshot.loss)),
+        *_about_run(run, estimate, snapshot, has_hints=is_clear and not (frozen or snapshot.loss)),
     ]
 
 

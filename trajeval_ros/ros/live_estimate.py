@@ -5,22 +5,20 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.receptions import ReceiveTimes
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.io.live.state_file import (
     REVISED_SUFFIX,
     StateWriter,
-    copy_states,
     file_of_estimate,
 )
 from trajeval_ros.io.writing import write_whole
@@ -42,37 +40,18 @@ from trajeval_ros.online.live_discontinuities import LiveDiscontinuities
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
+from trajeval_ros.online.state_buffer import NEVER
 from trajeval_ros.online.state_rows import rows_of
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun
 from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.message_tail import DecodedMessages
 from trajeval_ros.ros.pose_source import PoseSource
 from trajeval_ros.ros.poses import StreamStatus, arrivals_of
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 
 _MOST_RESETS = 100  # newest declared resets
-
-
-class DecodedMessages(NamedTuple):
-    """Messages of one source: some poses, or one path.
-
-    Times (N,) are those of reception by the middleware; for a path, its time of arrival.
-    """
-
-    states: Trajectory
-    times: Stamps
-    is_path: bool = False
-
-    @property
-    def stamps(self) -> Stamps:
-        """Timestamps for the detection of steps back; a path has only that of its last pose."""
-        return self.states.stamps[-1:] if self.is_path else self.states.stamps
-
-    def part(self, rows: slice) -> DecodedMessages:
-        """Return some of the messages; a path has one part."""
-        if self.is_path:
-            return self
-        return DecodedMessages(self.states[rows], self.times[rows])
+_FOLLOWS_NS = NANOSECONDS  # both clocks of a computer step together; messages wait in queues
 
 
 class LiveEstimate:
@@ -95,6 +74,11 @@ class LiveEstimate:
         self._newest_path: Trajectory | None = None  # as in its message
         self.evaluator = OnlineEvaluator(settings)
         self.discontinuities = LiveDiscontinuities()
+        # The newest time of reception by side, also when a step of a clock was first noticed.
+        self._heard: dict[str, int] = {}
+        self._suspected: Event | None = None
+        self._suspected_at: dict[str, int] = {}
+        self._begin_ns = NEVER  # earlier states belong to the previous run
         self.stepped: Event | None = None  # the step of a clock with which the run began
         self.ends_at_restart = False  # whether the run ends where the estimate restarts
         self.restarted_at: int | None = None  # timestamp of the first pair of the next run
@@ -122,26 +106,16 @@ class LiveEstimate:
                 settings.limits.past_s,
             )
 
-    def continue_after(self, before: LiveEstimate) -> None:
-        """Take what the previous run received and did not use, and what it knows."""
-        self.discontinuities, self.clock = before.discontinuities.continued(), before.clock
-        self._news, before._news = before._news, []
-        self._restarts = [stamp for stamp in before._restarts if stamp != before.restarted_at]
-        self.evaluator.frames = copy(before.evaluator.frames)
-        before.until_ns = self.evaluator.continue_after(before.evaluator)
-        taken = self.evaluator.buffer.estimate.stamps - before.offset_ns
-        copy_states(before.states_file.path, self.states_file, taken)
+    def continue_after(self, before: LiveEstimate) -> int:
+        """Continue with the states that the previous run did not use.
 
-    def share_groundtruth(self, before: LiveEstimate) -> None:
-        """Copy the newest groundtruth states, of the evaluated body, from the previous run."""
-        self.evaluator.add_groundtruth(before.evaluator.buffer.groundtruth.trajectory())
-
-    def begin_to_evaluate(self, offset_s: float) -> None:
-        """Use a clock offset, seconds, and the marker pose from now on."""
-        self.evaluator.set_offset(offset_s)
-        hand_eye = self._body.hand_eye
-        if hand_eye is not None and not self._body.of_marker:
-            self.evaluator.judge_moved_groundtruth(hand_eye)
+        Returns:
+            The timestamp, nanoseconds, from which on pairs belong to this run.
+        """
+        self._begin_ns = before.until_ns = before.evaluator.buffer.unused_from
+        self.clock = before.clock
+        self._news = [event for event in before.digest() if event.end_ns <= self._begin_ns]
+        return self._begin_ns
 
     @property
     def up(self) -> UpAxis:
@@ -181,9 +155,9 @@ class LiveEstimate:
             return
         if len(decoded):
             self._newest = decoded[-1:]
-        resets, self.source.stream.resets = self.source.stream.resets, []
-        for stamp in resets:
-            self._declare(stamp + self.offset_ns)
+        for stamp in messages.resets:
+            if stamp + self.offset_ns > self._begin_ns:
+                self._declare(stamp + self.offset_ns)
         if self.availability is not None:
             self._receive(self.source.stream.as_received(decoded))
         self.latency.arrive(decoded.stamps + self.offset_ns, messages.times)
@@ -192,16 +166,24 @@ class LiveEstimate:
     def take_groundtruth(self, states: Trajectory) -> None:
         """Take groundtruth states of the evaluated body."""
         self.evaluator.add_groundtruth(states)
-        arrived = arrivals_of(states)
-        self.discontinuities.add(GROUNDTRUTH, states.stamps, rows_of(states), arrived)
+        self._search(GROUNDTRUTH, states.stamps, states, arrivals_of(states))
         self._has_fixes |= states.reading.fixes is not None
         if self.availability is not None:
             self.availability.add_groundtruth(states)
 
     def _add(self, states: Trajectory, arrived: Stamps | None) -> None:
-        stamps = states.stamps + self.offset_ns
-        self.discontinuities.add(ESTIMATE, stamps, rows_of(states), arrived)
+        self._search(ESTIMATE, states.stamps + self.offset_ns, states, arrived)
         self.evaluator.add_estimate(states)
+
+    def _search(
+        self, side: str, stamps: Stamps, states: Trajectory, arrived: Stamps | None
+    ) -> None:
+        """Search states (N,) of this run for discontinuities."""
+        if arrived is not None and len(arrived):
+            self._heard[side] = max(self._heard.get(side, NEVER), int(arrived.max()))
+        rows = slice(None) if self._begin_ns == NEVER else stamps >= self._begin_ns
+        times = None if arrived is None else arrived[rows]
+        self.discontinuities.add(side, stamps[rows], rows_of(states)[rows], times)
 
     def _receive(self, states: Trajectory) -> None:
         if self.availability is not None:
@@ -211,8 +193,8 @@ class LiveEstimate:
 
     def evaluate(self, *, at_end: bool = False) -> None:
         """Evaluate the pairs that are possible now, up to a restart that ends the run."""
-        if self.restarted_at is not None and not at_end:
-            return  # what waits belongs to the next run, which takes it before the end
+        if self.restarted_at is not None or self.until_ns is not None:
+            return  # what waits belongs to the next run
         pairs, border = self.evaluator.made(at_end=at_end), None
         if self.ends_at_restart and not at_end:
             border = self._border()
@@ -251,6 +233,8 @@ class LiveEstimate:
             self.discontinuities.events.clear()
         else:
             self._news += events
+        if self.suspected_step is not self._suspected:
+            self._suspected, self._suspected_at = self.suspected_step, dict(self._heard)
         self._restarts += [
             event.end_ns
             for event in events
@@ -258,9 +242,21 @@ class LiveEstimate:
         ]
 
     @property
-    def clock_step(self) -> Event | None:
-        """The newest step of one clock; None if the clocks agree as at the start."""
+    def suspected_step(self) -> Event | None:
+        """The newest step of one clock, which the other clock may follow."""
         return self.discontinuities.clock_step() or self.stepped
+
+    @property
+    def clock_step(self) -> Event | None:
+        """The newest step of one clock that the other one did not follow within a second.
+
+        None if the clocks agree as at the start. If both step, one is noticed first.
+        """
+        step = self.suspected_step
+        waits = step is not self.stepped and any(
+            self._heard[side] < heard + _FOLLOWS_NS for side, heard in self._suspected_at.items()
+        )
+        return None if waits else step
 
     def _declare(self, stamp: int) -> None:
         """Take a reset that the estimator declares, by the timestamp of the first pose after."""

@@ -2,103 +2,100 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Stamps
-from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
-from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, copy_states
+from trajeval_ros.io.live.fix_file import FixWriter
+from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter
 from trajeval_ros.io.requests.setting import AUTO
+from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.metrics.discontinuities.events import Event
+from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_clock import OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
+from trajeval_ros.online.state_buffer import NEVER
 from trajeval_ros.pipeline.request import Request
-from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
+from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.message_tail import DecodedMessages, MessageTail
 from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.pose_source import PoseSource
 from trajeval_ros.ros.poses import StreamStatus
-from trajeval_ros.ros.start_decision import HeldMessages, StartDecision
+from trajeval_ros.ros.start_decision import StartDecision
+
+# A step of an estimate is decided within 12 s, and the next run begins at the step.
+_TAIL_S = 15.0
+_LONGEST_TAIL_S = 120.0  # limits memory, whatever delay is allowed
+# States before the start is decided, also if timestamps do not advance: two minutes of both sides
+# at 1 kHz.
+_MOST_HELD = 250_000
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """What the runs of a node have in common."""
+
+    sources: Sequence[PoseSource]  # numbered: 0 is the groundtruth, and 1 the first estimate
+    settings: OnlineSettings
+    start: StartDecision
+    worker: Executor  # estimates the clock offsets
+    about: Mapping[str, Any] = field(default_factory=dict)  # the user's label and metadata
+    gauge_is_default: bool = False  # then it is yaw for GNSS fixes
 
 
 class LiveRun:
     """Passes the same groundtruth to every estimate, and stores the results on disk.
 
-    Sources are numbered: 0 is the groundtruth, and 1 the first estimate.
-    `began_by` is the cause of a run that the user did not start. `about` has the user's label and
-    metadata. With `gauge_is_default`, the gauge is yaw for GNSS fixes.
+    `began_by` is the cause of a run that the user did not start.
     """
 
-    def __init__(
-        self,
-        sources: Sequence[PoseSource],
-        settings: OnlineSettings,
-        folder: Path,
-        start: StartDecision,
-        worker: Executor,
-        began_by: str = "",
-        about: Mapping[str, Any] | None = None,
-        *,
-        gauge_is_default: bool = False,
-    ) -> None:
+    def __init__(self, plan: RunPlan, folder: Path, began_by: str = "") -> None:
+        sources, settings, start = plan.sources, plan.settings, plan.start
+        self.plan, self.start = plan, start
         self.groundtruth, self.folder, self.began_by = sources[0], folder, began_by
-        self.about = about or {}
         self.idle = ""  # why messages are dropped; empty while they are evaluated
         self.groundtruth_status = StreamStatus()
-        self._gauge_is_default = gauge_is_default
         about_groundtruth = {"source": sources[0].source, "name": sources[0].name}
         self.states_file = StateWriter(folder / GROUNDTRUTH, about_groundtruth)
         self.finisher = Finisher(folder)  # writes result.json in another process
         self.on_groundtruth: Callable[[Trajectory], object] | None = None  # draws it
         self.news: list[Remark] = []  # remarks that are not published yet
-        # Messages, by source, of the next run: an estimate restarted before them.
-        self.unused: list[tuple[int, DecodedMessages]] = []
-        self._sources, self._settings, self.start = sources, settings, start
-        self._worker = worker
+        self._settings, self._tail = settings, MessageTail()
         self._fixes: FixWriter | None = None
+        # Newest timestamp and number of groundtruth poses at the first estimate, if it is held.
+        self._held_from: tuple[int, int] | None = None
         self._given_up = None if settings.up is None else settings.up[0]
-        self._held = HeldMessages() if start.holds else None
+        self.holds = start.holds  # whether messages are only kept, before the start is decided
         self.estimates = [
             LiveEstimate(
                 source,
                 settings,
                 folder,
                 start.body,
-                OnlineClock(settings.protocol.gauge, worker),
+                OnlineClock(settings.protocol.gauge, plan.worker),
                 {"source": source.source, "place": place},
             )
             for place, source in enumerate(sources[1:])
         ]
         if not start.holds:
-            for estimate in self.estimates:
-                estimate.begin_to_evaluate(settings.offset_s)
+            self._begin_to_evaluate(settings.offset_s)
 
     def following(self, folder: Path, began_by: str) -> LiveRun:
         """Return the run after this one, with the same settings, clock offset and body."""
-        return LiveRun(
-            self._sources,
-            self._settings,
-            folder,
-            self.start,
-            self._worker,
-            began_by,
-            self.about,
-            gauge_is_default=self._gauge_is_default,
-        )
+        return LiveRun(replace(self.plan, settings=self._settings), folder, began_by)
 
     def status_of(self, source: int) -> StreamStatus:
         """Return the counts, frames and notes of a source's messages in this run."""
@@ -144,11 +141,6 @@ class LiveRun:
         return sum(estimate.evaluator.pairs for estimate in self.estimates)
 
     @property
-    def holds(self) -> bool:
-        """Whether messages are only stored, because the start is not decided yet."""
-        return self._held is not None
-
-    @property
     def restarted(self) -> LiveEstimate | None:
         """The first estimate whose restart ends the run; None if there is none."""
         return next(
@@ -172,52 +164,85 @@ class LiveRun:
         else:
             self.states_file.append(messages.states)
             self._see_groundtruth(messages.states)
-        if self._held is None or self._held.may_pass(source, self.body):
+        self._tail.add(source, messages)
+        if not self.holds:
             self._pass_on(source, messages)
-        elif len(messages.states):
-            self._held.add(source, messages)
+        elif source and self._held_from is None:
+            status = self.groundtruth_status
+            self._held_from = NEVER if status.last is None else status.last, status.poses
 
     def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
         """Evaluate the messages that were taken; yield the new errors by estimate."""
         for estimate in self.estimates:
             yield estimate, estimate.update()
+        if self.restarted is None and (self._held_from is None or not self.holds):
+            self._tail.forget(min(max(_TAIL_S, self._settings.limits.past_s), _LONGEST_TAIL_S))
 
     def decide(self, *, at_end: bool = False) -> None:
         """Evaluate the stored messages when clock offset and marker pose are decided."""
         for estimate in self.estimates:
             # Before the start nothing is evaluated, so waiting for the clock estimate is possible.
             estimate.clock.update(at_end=at_end, waits=self.holds)
-        held_s = 0.0 if self._held is None else self._held.span_s
-        offset_s = self.start.look(self.estimates[0], held_s, at_end=at_end)
-        if offset_s is None or self._held is None:
+        if not self.holds:
             return
-        self._settings = self._settings.with_offset(offset_s)
-        for estimate in self.estimates:
-            estimate.begin_to_evaluate(offset_s)
-        held, self._held = self._held.messages, None
-        self._one_by_one(held, self._pass_on)
+        offset_s = self.start.look(self.estimates[0], self._held_s, at_end=at_end)
+        if offset_s is None:
+            return
+        self.holds = False
+        self._begin_to_evaluate(offset_s)
+        self._one_by_one(self._tail, self._pass_on)
 
-    def continue_after_restart(self, before: LiveRun) -> None:
-        """Take what the previous run, which a restart has ended, received and did not use."""
-        for new, old in zip(self.estimates, before.estimates, strict=True):
-            new.continue_after(old)
-        self._describe_groundtruth_of(before)
-        unused, before.unused = before.unused, []
-        self._one_by_one(unused, self.take)
+    def continue_after(self, before: LiveRun, stepped_back: Sequence[int] = ()) -> None:
+        """Take the newest messages of the previous run that it did not use.
 
-    def continue_after_silence(self, before: LiveRun, stepped_back: Sequence[int]) -> None:
-        """Take the groundtruth of the previous run, since its time has not stepped back."""
+        The time of some estimates may have stepped back. They began this run, and need the
+        groundtruth since their first message.
+        """
+        begins = {}
         for place, (new, old) in enumerate(zip(self.estimates, before.estimates, strict=True), 1):
-            if place in stepped_back:
-                new.share_groundtruth(old)
-            else:
-                new.continue_after(old)
-        self._describe_groundtruth_of(before)
+            if place not in stepped_back:
+                begins[place] = new.continue_after(old)
+            elif (first := self._tail.first(place)) is not None:
+                begins[place] = first + self._settings.offset_ns
+        offset_ns = self._settings.offset_ns
+        taken = {
+            place: begin - offset_ns
+            for place, begin in begins.items()
+            if place not in stepped_back
+        }
+        has_points = before.estimates[0].evaluator.rule.method == AT_GROUNDTRUTH
+        interpolated = set(taken) if has_points else {0}
+        taken[0] = min(begins.values(), default=NEVER)
+        self._one_by_one(before._tail.since(taken, interpolated), self.take)
 
     def begin_with_clock_step(self, source: int, step: Event) -> None:
         """Take the step of one source's clock with which the run began."""
         for estimate in self.estimates[source - 1 : source] if source else self.estimates:
             estimate.stepped = step
+
+    def _begin_to_evaluate(self, offset_s: float) -> None:
+        """Evaluate from now on, with a clock offset, seconds, and the marker's pose."""
+        self._settings = settings = self._settings.with_offset(offset_s)
+        if self.body.hand_eye is not None and not self.body.of_marker:
+            settings = settings.with_moved_groundtruth(self.body.hand_eye)
+        for estimate in self.estimates:
+            estimate.evaluator = OnlineEvaluator(settings)
+
+    @property
+    def _held_s(self) -> float:
+        """Longest time span of a source since the first estimate, seconds; 0 without one.
+
+        Sources are measured separately, since their clocks may differ by years. Infinite if
+        timestamps do not advance, so that memory is bounded.
+        """
+        if self._held_from is None:
+            return 0.0
+        statuses, groundtruth = [item.status for item in self.estimates], self.groundtruth_status
+        first, count = self._held_from
+        if groundtruth.poses - count + sum(status.poses for status in statuses) > _MOST_HELD:
+            return math.inf
+        since_ns = 0 if first == NEVER or groundtruth.last is None else groundtruth.last - first
+        return max([since_ns / NANOSECONDS, *(status.duration_s for status in statuses)])
 
     def resume(self) -> None:
         """Evaluate messages again after a pause, in which the robot may have moved."""
@@ -267,31 +292,27 @@ class LiveRun:
 
     def _one_by_one(
         self,
-        messages: Sequence[tuple[int, DecodedMessages]],
+        messages: Iterable[tuple[int, DecodedMessages]],
         take: Callable[[int, DecodedMessages], None],
     ) -> None:
         """Evaluate messages as if they arrived now, so that the buffers stay small.
 
-        Groundtruth is kept until the estimates that arrived with it are paired. Messages after a
-        restart are left for the next run.
+        Groundtruth is kept until the estimates that arrived with it are paired.
         """
-        for row, (source, item) in enumerate(messages):
+        for source, item in messages:
             take(source, item)
             if source:
                 self.estimates[source - 1].evaluate()
-                if self.restarted is not None:
-                    self.unused = list(messages[row + 1 :])
-                    return
 
     def _keep_upright(self) -> None:
         """Set the yaw gauge if none is set, because errors in heights of fixes cause a tilt."""
-        if not self._gauge_is_default:
+        if not self.plan.gauge_is_default:
             return
-        self._gauge_is_default = False
+        self.plan = replace(self.plan, gauge_is_default=False)
         self._settings = self._settings.with_gauge(Gauge.YAW)
         for estimate in self.estimates:
             estimate.evaluator.set_gauge(Gauge.YAW)
-            estimate.clock = OnlineClock(Gauge.YAW, self._worker)
+            estimate.clock = OnlineClock(Gauge.YAW, self.plan.worker)
         said = f"{self.groundtruth.source}: GNSS fixes; the alignment uses gauge yaw"
         self.news.append(Remark(Level.NOTE, "alignment", said))
 
@@ -299,19 +320,6 @@ class LiveRun:
         """Write the original fixes to disk, because states do not contain their quality."""
         self._fixes = self._fixes or FixWriter(self.folder)
         self._fixes.append(stamps, fixes)
-
-    def _describe_groundtruth_of(self, before: LiveRun) -> None:
-        """Store and draw groundtruth that was taken from the previous run."""
-        if self.on_groundtruth is not None:
-            known = self.estimates[0].evaluator.buffer.groundtruth
-            self.on_groundtruth(known.trajectory(np.arange(len(known))))
-        buffers = [estimate.evaluator.buffer for estimate in self.estimates]
-        taken = np.concatenate([buffer.groundtruth.stamps for buffer in buffers])
-        copy_states(before.states_file.path, self.states_file, taken)
-        if before._fixes is not None:
-            stamps, rows = read_fix_rows(before.folder)
-            kept = np.isin(stamps, taken)
-            self._keep_fixes(stamps[kept], fixes_of_rows(rows[kept, :3], rows[kept, 3:]))
 
 
 def _trouble(write: Callable[[], object]) -> str:

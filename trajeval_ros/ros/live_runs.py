@@ -16,8 +16,9 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP, SIDES, Event
 from trajeval_ros.online.reports import Update
-from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
+from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.message_tail import DecodedMessages
 from trajeval_ros.ros.pose_source import PoseSource, TimeAt
 from trajeval_ros.ros.recorded_state import write_states
 
@@ -78,7 +79,8 @@ class LiveRuns:
                 for part, back_ns in self._parts(place, messages.stamps):
                     if back_ns:
                         self._step_back(place, int(messages.stamps[part][0]), back_ns)
-                    self._run_of[place].take(place, messages.part(part))
+                    taken = messages if messages.is_path else messages.part(part)
+                    self._run_of[place].take(place, taken)
         self.current.decide()
         groundtruth, *estimates = (item.stream for item in self._sources)
         for stream in estimates:
@@ -176,7 +178,7 @@ class LiveRuns:
         begun = ended.following(self._new_folder(), f"{estimate.name} jumped")
         self._follow(begun)
         self._enter(begun)
-        begun.continue_after_restart(ended)
+        begun.continue_after(ended)
         self._close_oldest()
 
     def _step_back(self, place: int, stamp: int, back_ns: int) -> None:
@@ -222,7 +224,7 @@ class LiveRuns:
             for place in stepped_back:
                 self._open[0].begin_with_clock_step(place, self._steps[place])
         if 0 in behind:
-            self._open[0].continue_after_silence(run, stepped_back)
+            self._open[0].continue_after(run, stepped_back)
         for place in behind:
             self._pass(place, self._open[0])
         run.conclude()
@@ -261,4 +263,5 @@ def _decoded(source: PoseSource, time_at: TimeAt | None) -> Iterator[DecodedMess
                 yield DecodedMessages(path, item[None], is_path=True)
             continue
         poses, rows = stream.poses(message_type, taken.payloads, arrived)
-        yield DecodedMessages(poses, received[rows])
+        resets, stream.resets = tuple(stream.resets), []
+        yield DecodedMessages(poses, received[rows], resets=resets)

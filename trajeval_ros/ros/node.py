@@ -22,7 +22,7 @@ from trajeval_ros.ros.diagnostics import StatusReports
 from trajeval_ros.ros.event_remarks import about_event, lasts
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_outputs import FrameBroadcaster, LiveOutputs
-from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.live_run import LiveRun, RunPlan
 from trajeval_ros.ros.live_runs import LiveRuns, NewRunRule
 from trajeval_ros.ros.marker_body import MarkerBody, StaticTransform
 from trajeval_ros.ros.output_folder import make_folder
@@ -137,18 +137,13 @@ class EvaluatorNode:
         axes = self._settings.covariances.rotation_frame
         body = MarkerBody(hand_eye, known, transform, axes)
         start = StartDecision(body, find_offset=self._values["time_offset"] == AUTO)
-        return LiveRun(
-            sources,
-            self._settings,
-            self._new_folder(),
-            start,
-            self._worker,
-            about={
-                "label": self._values["label"],
-                "metadata": parameters.metadata_of(self._values),
-            },
-            gauge_is_default=parameters.request_of(self._values).gauge_is_default,
-        )
+        about = {
+            "label": self._values["label"],
+            "metadata": parameters.metadata_of(self._values),
+        }
+        is_default = parameters.request_of(self._values).gauge_is_default
+        plan = RunPlan(sources, self._settings, start, self._worker, about, is_default)
+        return LiveRun(plan, self._new_folder())
 
     def _begin_run(self, ended: LiveRun, begun: LiveRun) -> None:
         self._pictures[begun] = self._new_picture(begun, self._pictures[ended])

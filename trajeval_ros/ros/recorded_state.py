@@ -62,7 +62,7 @@ def _recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
             "sync_risk_m": sync_risk_m(run, estimate),
             "latency_p95_s": estimate.latency.p95_s,
             "began_by": run.began_by,
-            **run.about,
+            **run.plan.about,
             "clock": asdict(estimate.clock.report),
         },
         "hand_eye": run.body.state,

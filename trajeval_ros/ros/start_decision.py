@@ -4,55 +4,11 @@ from __future__ import annotations
 
 import math
 
-from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
 
-# Limit of memory, in case timestamps do not advance: two minutes of both sides at 1 kHz.
-_MOST_STATES = 250_000
 _DECISION_S = 60.0
-
-
-class HeldMessages:
-    """Messages that arrive before the start; they are evaluated later, in order of arrival."""
-
-    def __init__(self) -> None:
-        self.messages: list[tuple[int, DecodedMessages]] = []  # with the numbers of their sources
-        self._spans: dict[int, tuple[int, int]] = {}
-        self._states = 0
-        self._has_estimates = False
-
-    def may_pass(self, source: int, body: MarkerBody) -> bool:
-        """Return whether messages need not be stored.
-
-        Before the first estimate, the evaluator drops old groundtruth itself.
-        """
-        return source == 0 and not self.messages and not body.is_wanted
-
-    def add(self, source: int, messages: DecodedMessages) -> None:
-        """Store N > 0 messages of a source."""
-        self.messages.append((source, messages))
-        if source and not self._has_estimates:
-            self._has_estimates = True
-            self._spans.clear()  # the span counts from the first estimate
-        stamps = messages.states.stamps
-        self._states += len(stamps)
-        first, last = int(stamps.min()), int(stamps.max())
-        earliest, latest = self._spans.get(source, (first, last))
-        self._spans[source] = min(first, earliest), max(last, latest)
-
-    @property
-    def span_s(self) -> float:
-        """Longest time span of a source's states since the first estimate, seconds.
-
-        Zero without an estimate. Sources are measured separately, since their clocks may differ by
-        years. Infinite if more states are stored than the limit.
-        """
-        if self._states > _MOST_STATES:
-            return math.inf
-        if not self._has_estimates:
-            return 0.0
-        return max((last - first for first, last in self._spans.values()), default=0) / NANOSECONDS
 
 
 class StartDecision:

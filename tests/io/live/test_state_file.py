@@ -23,7 +23,7 @@ from strategies import seeds
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.live import chunk_file
-from trajeval_ros.io.live.state_file import RecordedStates, StateWriter, copy_states, read_states
+from trajeval_ros.io.live.state_file import RecordedStates, StateWriter, read_states
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import joined
 
@@ -297,10 +297,3 @@ def test_covariances_and_receptions_are_kept_in_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.covariances[3:5].reshape(2, 36), wide[:, 10:])
     assert not read.covariances[[0, 1, 2, 5, 6, 7]].any()
     assert times_of(read).tolist() == [UNKNOWN] * 3 + [7, 9] + [UNKNOWN] * 3
-    copied = StateWriter(tmp_path / "y.states", DESCRIPTION)
-    copy_states(tmp_path / "x.states", copied, np.array([1, 4, 99]))
-    copied.close()
-    part = read_states(tmp_path / "y.states").states
-    assert (part.stamps.tolist(), times_of(part).tolist()) == ([1, 4], [UNKNOWN, 9])
-    assert part.covariances is not None
-    np.testing.assert_array_equal(part.covariances, read.covariances[[1, 4]])

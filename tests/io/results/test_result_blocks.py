@@ -18,10 +18,10 @@ from trajeval_ros.calibration.significance import Parameter
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.results import result_folder
 from trajeval_ros.io.results.calibration_json import calibration_json
-from trajeval_ros.io.results.pair_columns import columns_of, component_columns
 from trajeval_ros.io.results.probabilistic_json import _gauge_scores as gauge_scores_json
 from trajeval_ros.io.results.result_json import integrity_json
 from trajeval_ros.io.results.watch_json import watch_json
+from trajeval_ros.metrics.columns import columns_of, component_columns
 
 FAKE: Any = SimpleNamespace
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import install_command
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -151,12 +151,6 @@ def _states_of(parts: list[NDArray[np.void]]) -> Trajectory:
 def file_of_estimate(name: str) -> str:
     """Return the name of an estimate's file, which differs from the groundtruth's."""
     return f"{name}{SUFFIX}" if name + SUFFIX != GROUNDTRUTH else f"{name}_estimate{SUFFIX}"
-
-
-def copy_states(before: Path, writer: StateWriter, stamps: Stamps) -> None:
-    """Write the states of another file that have one of the timestamps (N,)."""
-    states = read_states(before).states
-    writer.append(states[np.isin(states.stamps, stamps)])
 
 
 def state_files(folder: Path) -> list[Path]:

@@ -42,9 +42,7 @@ def read_samples(path: Path, columns: str) -> tuple[Stamps, Floats]:
         message = message if str(path) in message else f"{path}: {message}"
         raise InputError(f"{message}; use the columns {columns}") from None
     values = rows.groups["extra"]
-    usable: Any = np.isfinite(values).all(axis=1)
-    if times.kept is not None:
-        usable &= times.kept
+    usable: Any = np.isfinite(values).all(axis=1) & (True if times.kept is None else times.kept)
     if len(usable) < 2 or not usable.all():
         where = f"row {int(np.argmin(usable)) + 1} is not finite" if len(usable) > 1 else "empty"
         raise InputError(f"{path}: {where}; use the columns {columns}")

@@ -10,7 +10,7 @@ SIDES = GROUNDTRUTH, ESTIMATE
 # Kinds. An outlier and a flip return to the former path; the others of this line stay.
 OUTLIER, FLIP, STEP, RESTART, CORRECTION = "outlier", "flip", "step", "restart", "correction"
 FLIP_STAYS, FROZEN_POSITION, FROZEN_ROTATION = "flip_stays", "frozen_position", "frozen_rotation"
-CLOCK_STEP, LOST = "clock_step", "lost"
+CLOCK_STEP, LOST, GAP = "clock_step", "lost", "gap"  # gaps are events of one stream alone
 # Kinds that end a part of the estimate that one alignment fits.
 PARTING = STEP, RESTART
 DECLARED = "declared"  # certainty of a reset that the estimator states itself

@@ -43,11 +43,15 @@ class Innovation:
 class SidePoses:
     """The poses of one side, without repeated ones, so that a frozen pose is a gap."""
 
-    def __init__(self, *, oriented: bool) -> None:
+    def __init__(
+        self, *, oriented: bool, frozen_s: float = FROZEN_S, keeps_parts: bool = False
+    ) -> None:
+        """Create it empty; if it `keeps_parts`, poses of which one part is repeated are stored."""
         self.clock = StampSteps()
-        self.repeats: list[Repeats] = []  # of at least `FROZEN_S`, or not over
+        self.repeats: list[Repeats] = []  # of at least `frozen_s`, or not over
+        self._frozen_s = frozen_s
         self.newest_s = -math.inf  # repeated poses included
-        self._oriented = oriented
+        self._oriented, self._keeps_parts = oriented, keeps_parts
         self._has_rotated = False
         self.first: Floats = np.zeros(7)  # the first pose
         self._last: Floats | None = None  # the newest pose, also if it is repeated
@@ -111,7 +115,7 @@ class SidePoses:
         self._repeat("position", self.newest_s, stamps, held)
         self._repeat("rotation", self.newest_s, stamps, stands)
         self.newest_s, self._last = float(stamps[-1]), rows[-1]
-        moved = ~(held | stands)
+        moved = ~(held & (stands | ~rotated) if self._keeps_parts else held | stands)
         if not moved.all():
             stamps, rows = stamps[moved], rows[moved]
         self._append(stamps, rows)
@@ -202,7 +206,7 @@ class SidePoses:
             if not is_same[begin]:
                 if interval is not None:
                     interval.is_over = True
-                    if interval.end_s - interval.begin_s < FROZEN_S:
+                    if interval.end_s - interval.begin_s < self._frozen_s:
                         self.repeats.remove(interval)
                 interval = None
                 continue

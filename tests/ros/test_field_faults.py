@@ -1,0 +1,338 @@
+"""Faults of robots in the field, over the network, with nodes as they run."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from ros_bags import ODOM, POSE, Message, messages_of, pose_message, write_messages
+from ros_processes import GROUNDTRUTH, ODOMETRY, Evaluator, Peer, evaluating
+from waiting import until
+
+from trajeval_ros import simulate
+from trajeval_ros.cli.app import main
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytestmark = pytest.mark.ros
+
+FAULT_S = 12.0
+WARNING = b"\x01"
+
+
+def played_to_nodes(
+    bag: Path,
+    peer: Peer,
+    environment: dict[str, str],
+    folder: Path,
+    sides: dict[str, tuple[str, str]],
+    **values: Any,
+) -> tuple[dict[str, Evaluator], dict[str, list[Any]]]:
+    """Play a bag to one node per pair of topics; return the nodes and their warnings."""
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    events = {name: peer.hear(f"/{name}/event", DiagnosticStatus, latched=True) for name in sides}
+    with ExitStack() as stack:
+        nodes = {
+            name: stack.enter_context(
+                evaluating(
+                    folder / name,
+                    environment,
+                    *("-r", f"__node:={name}"),
+                    groundtruth=groundtruth,
+                    estimates=[estimate],
+                    **{"gauge": "yaw", "lengths": "none", **values},
+                )
+            )
+            for name, (groundtruth, estimate) in sides.items()
+        }
+        topics = {topic: 1 for pair in sides.values() for topic in pair}
+        peer.play(bag, topics, sides, rate=2.0)
+        for node in nodes.values():
+            assert node.end() == 0, node.said
+    return nodes, {name: warnings_in(heard) for name, heard in events.items()}
+
+
+def warnings_in(events: list[Any]) -> list[dict[str, str]]:
+    """Return the values and sentences of warnings, but for those of a slow start-up."""
+    return [
+        {"sentence": event.message, **{pair.key: pair.value for pair in event.values}}
+        for event in events
+        if event.level >= WARNING
+        and " yet on " not in event.message
+        and not event.message.startswith("no longer")
+    ]
+
+
+def with_stepped_clock(source: Trajectory, topic: str, kind: str, step_s: float) -> list[Message]:
+    """Return messages whose timestamps step, and whose times of the bag do not."""
+    stamps = source.stamps + round(step_s * NANOSECONDS) * (source.seconds > FAULT_S)
+    step = np.flatnonzero(source.seconds > FAULT_S)[0]
+    written = []
+    for part in (slice(step), slice(step, None)):
+        states = dataclasses.replace(source[part], stamps=stamps[part])
+        for message, logged in zip(
+            messages_of(states, topic, kind), source.stamps[part].tolist(), strict=True
+        ):
+            written.append((*message[:2], logged, message[3]))
+    return written
+
+
+def test_a_step_of_both_clocks_is_no_fault(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    flight = simulate(5, 26.0)
+    truth = flight.groundtruth[::2]
+    sides = {name: (f"/groundtruth/{name}", f"/vio/{name}") for name in ("back", "forward")}
+    messages: list[Message] = []
+    for (groundtruth, estimate), step_s in zip(sides.values(), (-5.0, 5.0), strict=True):
+        messages += with_stepped_clock(truth, groundtruth, POSE, step_s)
+        messages += with_stepped_clock(flight.estimate, estimate, ODOM, step_s)
+    write_messages(tmp_path / "bag", messages)
+    nodes, warnings = played_to_nodes(
+        tmp_path / "bag", peer, environment, tmp_path / "live", sides
+    )
+    told = [item for heard in warnings.values() for item in heard if "clock" in item["kind"]]
+    assert told == []
+    # A step back begins another run. A step forward is a pause of both sides.
+    assert (tmp_path / "live" / "back_2" / "result.json").exists()
+    assert "time of /groundtruth/back stepped back by" in nodes["back"].said or (
+        "time of /vio/back stepped back by" in nodes["back"].said
+    )
+    assert not (tmp_path / "live" / "forward_2").exists()
+    [run] = nodes["forward"].result["runs"]
+    assert run["association"]["pairs"] > 0.9 * len(flight.estimate)
+    [step] = [event for event in run["events"] if event["kind"] == "clock_step"]
+    assert step["side"] == "both"
+    assert step["s"] == pytest.approx(5.0, abs=0.1)
+
+
+def test_a_marker_that_flips_ends_neither_the_node_nor_its_results(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    """The motion contradicts every clock offset and every pose of the marker."""
+    flight = simulate(5, 45.0)
+    truth = flight.groundtruth[::4]
+    assert truth.quaternions is not None
+    flip = np.array([0.0, 1.0, 0.0, 0.0])  # 180 deg about y
+    flipped = lie.multiply(truth.quaternions, flip[None])
+    turns = np.where((truth.seconds > FAULT_S)[:, None], flipped, truth.quaternions)
+    flips = dataclasses.replace(truth, quaternions=turns)
+    bag = tmp_path / "bag"
+    messages = messages_of(flips, GROUNDTRUTH, POSE)
+    write_messages(bag, [*messages, *messages_of(flight.estimate, ODOMETRY, ODOM)])
+    sides = {"flips": (GROUNDTRUTH, ODOMETRY)}
+    nodes, _ = played_to_nodes(
+        bag, peer, environment, tmp_path / "live", sides, time_offset="auto", hand_eye="auto"
+    )
+    [run] = nodes["flips"].result["runs"]
+    assert run["association"]["pairs"] > 0.9 * len(flight.estimate)  # none was left undrained
+    codes = {remark["code"]: remark["text"] for remark in run["remarks"]}
+    assert "time offset" in codes["clock_offset"]
+    assert "failed" not in codes["clock_offset"]
+    # What the node wrote at its end, `trajeval finish` writes again, into the same folder.
+    folder = nodes["flips"].folder
+    written = {path.name for path in folder.iterdir()}
+    for name in ("result.json", "errors.npz"):
+        (folder / name).unlink()
+    assert main(["finish", str(folder), "--quiet"]) == 0
+    assert {path.name for path in folder.iterdir()} == written
+
+
+def test_a_lost_estimate_has_no_hints(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    flight = simulate(5, 40.0)
+    truth, estimate = flight.groundtruth[::4], flight.estimate
+    rows = np.where(
+        estimate.seconds > FAULT_S,
+        np.flatnonzero(estimate.seconds > FAULT_S)[0],
+        np.arange(len(estimate)),
+    )
+    frozen = dataclasses.replace(
+        estimate,
+        positions=estimate.positions[rows],
+        quaternions=estimate.known_quaternions[rows],
+        velocities=None,
+    )
+    diverged = estimate.positions.copy()
+    later = np.maximum(estimate.seconds - FAULT_S, 0.0)[:, None]
+    diverged += 0.5 * later**2 * np.array([0.6, 0.8, 0.0])
+    bag = tmp_path / "bag"
+    written = messages_of(truth, GROUNDTRUTH, POSE)
+    for topic, states in (
+        ("/vio/frozen", frozen),
+        ("/vio/diverged", dataclasses.replace(estimate, positions=diverged)),
+    ):
+        written += messages_of(states, topic, ODOM)
+    write_messages(bag, written)
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    arrays = peer.hear("/diagnostics", DiagnosticArray)
+    events = peer.hear("/evaluator/event", DiagnosticStatus, latched=True)
+    estimates = ["/vio/frozen", "/vio/diverged"]
+    with evaluating(
+        tmp_path / "live", environment, estimates=estimates, gauge="yaw", lengths="none"
+    ) as live:
+        topics = {GROUNDTRUTH: 1, **dict.fromkeys(estimates, 1)}
+        peer.play(bag, topics, ["evaluator"], rate=1.0)
+        assert live.end() == 0
+    told = warnings_in(events)
+    assert {item["kind"] for item in told}  # the losses
+    # That positions determine the alignment poorly is said before the fault.
+    hints = [item for item in told if item["kind"] in ("hint", "clock")]
+    assert [item["sentence"] for item in hints if item.get("subject") != "alignment"] == []
+    texts = [item.message for array in arrays for item in array.status if item.level >= WARNING]
+    assert [text for text in texts if "set time_offset" in text or "Euler" in text] == []
+
+
+_PLAIN = f"""
+import signal
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+rclpy.init()
+node, count = rclpy.create_node("plain"), 0
+def receive(payload):
+    global count
+    count += 1
+profile = QoSProfile(depth=20_000, reliability=ReliabilityPolicy.BEST_EFFORT)
+node.create_subscription(PoseStamped, "{ODOMETRY}", receive, profile, raw=True)
+try:
+    rclpy.spin(node)
+except BaseException:
+    pass
+print(count, flush=True)
+"""
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Keep cores busy."""
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
+@pytest.mark.slow
+def test_best_effort_messages_are_lost_no_more_often_than_by_a_plain_node(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import PoseStamped
+
+    count = 4000
+    arrays = peer.hear("/diagnostics", DiagnosticArray)
+    sides = [
+        peer.publisher(topic, PoseStamped, reliable=False) for topic in (GROUNDTRUTH, ODOMETRY)
+    ]
+    plain = subprocess.Popen(
+        [sys.executable, "-c", _PLAIN], env=environment, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        with (
+            busy(os.cpu_count() or 1),
+            evaluating(tmp_path / "live", environment, gauge="yaw", lengths="none") as live,
+        ):
+            for side, subscribers in zip(sides, (1, 2), strict=True):
+                peer.until(
+                    lambda: side.get_subscription_count() == subscribers,  # noqa: B023
+                    "subscribers",
+                )
+            peer.until(lambda: arrays, "the node is at work")
+            for row in range(count):
+                angle = 1e-3 * row
+                place = [3.0 * np.cos(angle), 2.0 * np.sin(angle), np.sin(0.3 * angle)]
+                payload = pose_message(
+                    10**18 + row * NANOSECONDS // 500, place, [0.0, 0.0, 0.0, 1.0]
+                )
+                for side in sides:
+                    side.publish(payload)
+                peer._executor.spin_once(timeout_sec=1e-3)
+            assert live.end() == 0
+        plain.send_signal(signal.SIGINT)
+        received = int(plain.communicate()[0])
+    finally:
+        plain.kill()
+        plain.wait()
+    [run] = live.result["runs"]
+    lost, plainly_lost = count - run["estimate"]["poses"], count - received
+    # The two processes do not get the cores at the same moments.
+    assert lost <= plainly_lost + 0.02 * count
+
+
+def many_poses(stamps: NDArray[np.int64]) -> list[bytes]:
+    """Return messages of poses along a curve, from one message as a template."""
+    template = np.frombuffer(pose_message(0, [0.0] * 3, [0.0, 0.0, 0.0, 1.0]), np.uint8)
+    rows = np.tile(template, (len(stamps), 1))
+    seconds = np.array(np.divmod(stamps, NANOSECONDS), dtype="<u4").T.copy()
+    rows[:, 4:12] = seconds.view(np.uint8)
+    angle = (stamps - stamps[0]) / NANOSECONDS
+    places = np.column_stack([3.0 * np.cos(angle), 2.0 * np.sin(angle), np.sin(0.3 * angle)])
+    # Encapsulation, time, and the name of the frame with its length; numbers are aligned.
+    rows[:, 28:52] = np.ascontiguousarray(places, dtype="<f8").view(np.uint8)
+    return [row.tobytes() for row in rows]
+
+
+@pytest.mark.slow
+def test_a_run_of_hours_ends_before_its_evaluation(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    """The node does not wait for the evaluation of more than 400,000 pairs, which is done once."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import PoseStamped
+
+    count, together = 405_000, 15_000  # the node keeps 20,000 messages
+    arrays = peer.hear("/diagnostics", DiagnosticArray)
+    stamps = 10**18 + np.arange(count) * (NANOSECONDS // 5000)
+    poses, truth = many_poses(stamps), many_poses(stamps[::50])
+    sides = [
+        peer.node.create_publisher(PoseStamped, topic, together)
+        for topic in (GROUNDTRUTH, ODOMETRY)
+    ]
+
+    def pairs() -> int:
+        numbers = [
+            int(pair.value)
+            for array in arrays[-1:]
+            for status in array.status
+            for pair in status.values
+            if pair.key == "pairs"
+        ]
+        return max(numbers, default=0)
+
+    words = {"gauge": "yaw", "lengths": "none", "autosave_period": 0.0}
+    with evaluating(tmp_path / "live", environment, **words) as live:
+        for side in sides:
+            peer.until(lambda: side.get_subscription_count() == 1, "a subscriber")  # noqa: B023
+        peer.until(lambda: arrays, "the node is at work")
+        for begin in range(0, count, together):
+            for payload in truth[begin // 50 : (begin + together) // 50]:
+                sides[0].publish(payload)
+            for payload in poses[begin : begin + together]:
+                sides[1].publish(payload)
+            arrays.clear()
+            peer.until(lambda: pairs() > begin, "pairs")  # noqa: B023
+        assert live.end() == 0
+        assert "continues in another process" in live.said
+        until((live.folder / "result.json").exists, "the result")
+    [run] = live.result["runs"]
+    assert run["association"]["pairs"] > 0.99 * count
+    assert run["live"]["messages_lost"] == 0
