@@ -20,9 +20,9 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.geometry.valid_poses import reasons
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN
 from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN
 from trajeval_ros.pipeline.input_remarks import completeness_in_words
 from trajeval_ros.report.definitions import (
     METHOD_TEXTS,
