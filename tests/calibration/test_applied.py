@@ -89,7 +89,10 @@ def test_a_known_transform_is_not_estimated() -> None:
             ["clock_offset_not_corrected"],
         ),
         (
-            {"request": CalibrationRequest(), "calibration": calibration(offset=parameter(0.0039))},
+            {
+                "request": CalibrationRequest(),
+                "calibration": calibration(offset=parameter(0.0039)),
+            },
             [],
         ),
         (
