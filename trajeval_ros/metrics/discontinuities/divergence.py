@@ -224,7 +224,7 @@ class Divergence:
         self._first_scale = self._first_scale or self._scale
         # Whether lengths of displacements correlated before, and whether the estimate moves ever
         # faster than the groundtruth from the start.
-        self._agreed = true_own**2 > (1.0 - _UNLIKE) * true_true * own_own
+        self._agreed = true_own * true_own > (1.0 - _UNLIKE) * true_true * own_own
         self._runs_away = self._scale < min(_RUNAWAY, _RUNAWAY_SINCE * self._first_scale)
         # A reflection is allowed: mirrored axes are no divergence.
         left, _, right = np.linalg.svd(self._products)
