@@ -1,4 +1,4 @@
-"""TrackingLosses of tracking in pairs of both sides: frozen and diverging estimates, as events.
+"""Losses of tracking in pairs of both sides: frozen and diverging estimates, as events.
 
 Live and recorded evaluations share this code, so that they report the same times.
 """
