@@ -13,7 +13,7 @@ from trajeval_ros import AssociationRule, Protocol, evaluate, simulate
 from trajeval_ros.diagnosis.lost_tracking_tests import (
     begins_at_start,
     is_certain,
-    is_long,
+    is_large,
     losses_in,
     lost_tracking,
 )
@@ -68,14 +68,22 @@ def test_a_divergence_over_three_times_the_whole_path_is_certain(
 
 
 @pytest.mark.parametrize(
-    ("end_s", "is_over", "expected"),
-    [(30.1, True, True), (30.0, True, False), (11.0, False, True)],
+    ("end_s", "moved_m", "is_over", "expected"),
+    [
+        (30.1, 6.1, True, True),
+        (30.1, 2.6, True, True),
+        (30.0, 6.1, True, False),
+        (30.1, 6.0, True, False),
+        (30.1, 2.7, True, False),
+        (11.0, 4.0, False, True),
+    ],
 )
-def test_a_long_loss_is_a_fifth_of_the_run_or_lasts(
-    end_s: float, *, is_over: bool, expected: bool
+def test_a_large_loss_lasts_or_is_long_and_moves_unlike_drift(
+    end_s: float, moved_m: float, *, is_over: bool, expected: bool
 ) -> None:
-    loss = loss_of(DIVERGED, 10.0, end_s, is_over=is_over)
-    assert is_long(loss, pairs_of(np.zeros(101), np.zeros(101))) == expected
+    """A fifth of a run of 100 s, and one and a half times the 4 m of the groundtruth, or less."""
+    loss = loss_of(DIVERGED, 10.0, end_s, moved_m=moved_m, is_over=is_over)
+    assert is_large(loss, pairs_of(np.zeros(101), np.zeros(101))) == expected
 
 
 @pytest.mark.parametrize(("begin_s", "is_at_start"), [(0.999, True), (1.0, False)])

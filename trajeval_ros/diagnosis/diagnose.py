@@ -31,7 +31,7 @@ from trajeval_ros.diagnosis.input_pair import FEWEST, InputPair
 from trajeval_ros.diagnosis.lost_tracking_tests import (
     begins_at_start,
     is_certain,
-    is_long,
+    is_large,
     losses_in,
     lost_tracking,
 )
@@ -159,7 +159,7 @@ def _tested_where_tracked(
         whole = _tested(inputs, frozen)
         if whole.names_any(_OTHER_PAIRS):
             certain, diagnosis = frozen, whole
-    uncertain = [loss for loss in losses if loss not in certain and is_long(loss, pairs)]
+    uncertain = [loss for loss in losses if loss not in certain and is_large(loss, pairs)]
     from_start = any(begins_at_start(loss, pairs) for loss in uncertain)
     if uncertain and not any(_explains_loss(one, from_start) for one in diagnosis.findings):
         certain = sorted((*certain, *uncertain), key=lambda loss: loss.t_ns)
@@ -176,6 +176,8 @@ def _explains_loss(finding: Finding, from_start: bool) -> bool:
     """Return whether a mistake makes displacements differ, from the start or later."""
     if finding.cause == "other_run":
         return from_start
+    if finding.cause == "lever_arm":
+        return True
     return finding.rank >= CAUSES["unit"].rank and finding.cause != "swapped"
 
 

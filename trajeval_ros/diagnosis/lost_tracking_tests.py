@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _START_S = 1.0  # a loss within this time after the first pair is one of the start
 # Of the size of the groundtruth's path. Inverse poses have up to twice its size.
 _UNBOUNDED = 3.0
-_LARGE_PART = 0.2  # of the run: a shorter divergence is one of its errors
+_LARGE_PART, _LARGE = 0.2, 1.5  # of the run, and of a path: a smaller loss is one of its errors
 
 
 def losses_in(pairs: Association) -> Sequence[Loss]:
@@ -47,9 +47,10 @@ def is_certain(loss: Loss, pairs: Association) -> bool:
     return unit * _size(estimate[lost]) > _UNBOUNDED * _size(groundtruth)
 
 
-def is_long(loss: Loss, pairs: Association) -> bool:
-    """Return whether a loss lasts until the end, or for a large part of the run."""
-    return not loss.is_over or loss.s > _LARGE_PART * pairs.estimate.duration_s
+def is_large(loss: Loss, pairs: Association) -> bool:
+    """Return whether a loss lasts until the end, or is long and larger than a large drift."""
+    differs = max(loss.moved_m, loss.m) > _LARGE * min(loss.moved_m, loss.m)
+    return not loss.is_over or (differs and loss.s > _LARGE_PART * pairs.estimate.duration_s)
 
 
 def begins_at_start(loss: Loss, pairs: Association) -> bool:

@@ -28,7 +28,8 @@ _MOVES_MPS, _NOISE_MPS = 0.1, 0.3
 _KEPT, _LEAST_KEPT = 240, 16  # ratios
 _TIMES_USUAL = 2.5  # multiple of the 95th percentile that is not usual
 _DRIFT = 0.06, 0.3  # bounds of a ratio that is not usual
-# Sum of the excesses, in limits: of displacements, and of their lengths.
+# Sums of the excesses, in limits: of one displacement, since a jump is in one; in the frames and
+# in the bodies; and the largest. One sum of the smaller excess names good estimates, too.
 _MOST_EXCESS, _LEAST_SUMS, _MOST_SUM = 1.0, (3.0, 2.0), 12.0
 # Scale of an estimate that never agreed, now and relative to its first value.
 _RUNAWAY, _RUNAWAY_SINCE = 0.1, 1.0 / 3.0
@@ -45,8 +46,9 @@ class Divergence:
     """Accumulates differences of displacements beyond the usual ones: a CUSUM test of two series.
 
     Displacements of the estimate are rotated and scaled to those of the groundtruth by the fit of
-    the last ones. Their lengths are compared, too, because after a restart in another frame only
-    these agree. An estimate diverges if both sums exceed their limits.
+    the last ones, in the frames and in the bodies, because after a restart in another frame only
+    the latter agree; without orientations, their lengths. An estimate diverges if both sums exceed
+    their limits.
     """
 
     def __init__(self) -> None:
@@ -118,14 +120,7 @@ class Divergence:
             excess, of_body = (ratio / self._limit - 1.0 for ratio in self._ratios_of(steps))
             if self._sum or self._is_lost or self._runs_away or (excess > 0.0).any():
                 scale = self._scale if self._agreed else self._first_scale
-                columns = (
-                    spans[0],
-                    spans[1],
-                    steps[_TRUE_M],
-                    scale * steps[_OWN_M],
-                    excess,
-                    of_body,
-                )
+                columns = *spans, steps[_TRUE_M], scale * steps[_OWN_M], excess, of_body
                 for row in zip(*(column.tolist() for column in columns), strict=True):
                     self._follow(*row)
         self._chunk = np.hstack([self._chunk, steps])
@@ -224,7 +219,7 @@ class Divergence:
         self._first_scale = self._first_scale or self._scale
         # Whether lengths of displacements correlated before, and whether the estimate moves ever
         # faster than the groundtruth from the start.
-        self._agreed = true_own**2 > (1.0 - _UNLIKE) * true_true * own_own
+        self._agreed = true_own * true_own > (1.0 - _UNLIKE) * true_true * own_own
         self._runs_away = self._scale < min(_RUNAWAY, _RUNAWAY_SINCE * self._first_scale)
         # A reflection is allowed: mirrored axes are no divergence.
         left, _, right = np.linalg.svd(self._products)
