@@ -95,6 +95,8 @@ class LiveEstimate:
         self._given_up = None if settings.up is None else settings.up[1]
         self._paired_at = 0.0
         self._updates: list[Update] = []
+        self.newest = Update()  # the newest one with pairs
+        self.newest_snapshot: Snapshot | None = None
         self._newest: Trajectory | None = None  # the state of the newest message
         self._undigested: list[PairedStates] = []
         self.availability: LiveAvailability | None = None  # as-available, if requested
@@ -217,7 +219,9 @@ class LiveEstimate:
         """Evaluate the messages that have arrived, and return the new errors."""
         self.evaluate(at_end=at_end)
         updates, self._updates = self._updates, []
-        return united(updates)
+        update = united(updates)
+        self.newest = self.newest if update.stamp is None else update
+        return update
 
     def examine(self, *, at_end: bool = False) -> None:
         """Search the states since the last call for discontinuities.
@@ -278,7 +282,8 @@ class LiveEstimate:
         """Return the state of the evaluation, without what is withheld."""
         if len(self.thinned):
             self.evaluator.up_axis_doubt = up_axis_doubt(self.thinned.pairs().groundtruth)
-        return self.evaluator.snapshot()
+        self.newest_snapshot = self.evaluator.snapshot()
+        return self.newest_snapshot
 
     def digest(self) -> list[Event]:
         """Add the pairs since the last call to thinned and revision; return new events.

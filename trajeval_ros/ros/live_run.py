@@ -152,11 +152,6 @@ class LiveRun:
         for estimate in self.estimates:
             estimate.ends_at_restart = ends
 
-    def examine(self, *, at_end: bool) -> None:
-        """Search the messages that were taken for discontinuities."""
-        for estimate in self.estimates:
-            estimate.examine(at_end=at_end)
-
     def take(self, source: int, messages: DecodedMessages) -> None:
         """Store and take messages of a source."""
         if source:
@@ -243,10 +238,6 @@ class LiveRun:
             return math.inf
         since_ns = 0 if first == NEVER or groundtruth.last is None else groundtruth.last - first
         return max([since_ns / NANOSECONDS, *(status.duration_s for status in statuses)])
-
-    def resume(self) -> None:
-        """Evaluate messages again after a pause, in which the robot may have moved."""
-        self.idle = ""
 
     def conclude(self) -> None:
         """Evaluate the poses that wait for groundtruth, because no further messages follow."""
