@@ -304,7 +304,7 @@ def test_a_run_of_hours_ends_before_its_evaluation(
     stamps = 10**18 + np.arange(count) * (NANOSECONDS // 5000)
     poses, truth = many_poses(stamps), many_poses(stamps[::50])
     sides = [
-        peer.node.create_publisher(PoseStamped, topic, together)
+        peer.node.create_publisher(PoseStamped, topic, 3 * together)
         for topic in (GROUNDTRUTH, ODOMETRY)
     ]
 

@@ -133,7 +133,7 @@ class LiveRun:
     @property
     def has_pairs(self) -> bool:
         """Whether there are pairs."""
-        return self.pair_count > 0
+        return any(estimate.has_pairs for estimate in self.estimates)
 
     @property
     def pair_count(self) -> int:
@@ -193,10 +193,14 @@ class LiveRun:
         The time of some estimates may have stepped back. They began this run, and need the
         groundtruth since their first message.
         """
+        restarts = [
+            item.restarted_at for item in before.estimates if item.restarted_at is not None
+        ]
         begins = {}
         for place, (new, old) in enumerate(zip(self.estimates, before.estimates, strict=True), 1):
             if place not in stepped_back:
-                begins[place] = new.continue_after(old)
+                begins[place] = min(restarts, default=old.evaluator.buffer.unused_from)
+                new.continue_after(old, begins[place])
             elif (first := self._tail.first(place)) is not None:
                 begins[place] = first + self._settings.offset_ns
         offset_ns = self._settings.offset_ns
