@@ -44,7 +44,7 @@ def read_sources(sources: Sequence[str]) -> tuple[int, float]:
 
     def read() -> tuple[int, float]:
         trajectories = read_many(sources, covariances=False)
-        assert not any(trajectory.reading.said(Level.ERROR) for trajectory in trajectories)
+        assert not any(trajectory.reading.messages(Level.ERROR) for trajectory in trajectories)
         count = sum(len(trajectory) for trajectory in trajectories)
         total = sum(float(trajectory.positions[:, 0].sum()) for trajectory in trajectories)
         return count, total

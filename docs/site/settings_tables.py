@@ -20,6 +20,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE, PARAMETER_FILE = ROOT / "docs/settings.md", ROOT / "config/evaluator.yaml"
 BEGIN, END = "<!-- settings: written by make settings -->", "<!-- end of settings -->"
 FORMATS = ROOT / "docs/trajectory.md"
+# A default in the help of an option, which the page has in a column.
+_STATED_DEFAULT = re.compile(r" Default: \S+\.(?= |$)| \(default(: [^ )]+)?\)(?!:)")
 _EXAMPLES: dict[str, Any] = {
     "groundtruth_topic": "/groundtruth/pose",
     "estimate_topics": ["/vio/odometry"],
@@ -60,22 +62,24 @@ def _row(setting: Setting) -> str:
     where = [f"`{verb}`" for verb in setting.verbs if verb != NODE]
     where += ["node"] if NODE in setting.verbs else []
     if setting.targets[0].startswith("protocol.") and setting.name != "protocol":
-        where.append("protocol file")
+        where.append("protocol")
     elif not setting.verbs:
         where.append("file of a comparison")
     default = setting.default
     shown = "" if default in (None, "") else f"`{json_text(default)}`"
-    meaning = re.sub(r"docs/(\w+)\.md", r"[\1](\1.md)", setting.text).replace("|", "\\|")
+    text = _STATED_DEFAULT.sub("", setting.text) if shown else setting.text
+    meaning = re.sub(r"docs/(\w+)\.md", r"[\1](\1.md)", text).replace("|", "\\|")
     return f"| `{setting.name}` | {shown} | {', '.join(where)} | {meaning} |"
 
 
 def layouts_table() -> str:
     """Return the table of all layouts of text files without a header in Markdown."""
-    rows = [
-        f"| {layout.name} | {_columns(layout)} | {layout.up.name} | {layout.source} |"
-        for layout in KNOWN
-    ]
-    return "\n".join(["| layout | columns | up | written by |", "|---|---|---|---|", *rows])
+    rows = [f"| {layout.name} | {_columns(layout)} | {_written_by(layout)} |" for layout in KNOWN]
+    return "\n".join(["| layout | columns | written by |", "|---|---|---|", *rows])
+
+
+def _written_by(layout: Layout) -> str:
+    return layout.source if layout.up.name == "z" else f"{layout.source}; up is {layout.up.name}"
 
 
 def _columns(layout: Layout) -> str:

@@ -12,6 +12,7 @@ from scipy.stats import f as fisher
 
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     GroundtruthCause,
+    discontinuity_causes,
     fused_cause,
     parameter_causes,
     sample_causes,
@@ -25,6 +26,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     PoseSpan,
     ResidualChecks,
 )  # fmt: skip
+from trajeval_ros.metrics.discontinuities.events import Event
 
 Array = NDArray[np.float64]
 
@@ -218,3 +220,32 @@ def test_notes_have_their_limits() -> None:
     assert len(_notes(checks(rate_hz=49.9, position_noise_m=2.01e-5))) == 1
     [note] = _notes(checks(position_noise_m=1.9e-5))
     assert "noise 19 um" in note
+
+
+def event(kind: str, at_s: float, **changed: float) -> Event:
+    stamp = 1_000 + round(at_s * 1e9)
+    return Event(kind, "groundtruth", stamp, stamp, **changed)
+
+
+def test_discontinuities_of_the_poses_are_counted_with_the_largest() -> None:
+    events = [
+        event("flip", 3.0, deg=180.0, ratio=90.0),
+        event("step", 5.0, m=0.05, ratio=1.8),
+        event("step", 9.0, m=0.5, deg=4.0, ratio=18.0),
+        event("lost", 12.0, m=0.2, ratio=7.0),
+        event("clock_step", 20.0, s=-0.25),
+        event("gap", 30.0, s=2.0),
+        event("frozen_position", 40.0, s=2.0),
+    ]
+    causes = {cause.name: cause for cause in discontinuity_causes(events, 1_000)}
+    assert {name: cause.value for name, cause in causes.items()} == {
+        "steps": 3.0, "outliers": 0.0, "flips": 1.0, "lasting_flips": 0.0, "clock_steps": 1.0,
+    }  # fmt: skip
+    assert causes["steps"].sentence == (
+        "3 steps of up to 0.50 m and 4 deg; the largest is at 9.00 s."
+    )
+    drop = "evaluate with --drop-groundtruth-outliers"
+    assert causes["flips"].sentence == f"1 flip of 180 deg at 3.00 s; {drop}."
+    assert causes["outliers"].sentence == ""
+    assert causes["outliers"].verdict == "insignificant"
+    assert "clock step of -0.250 s at 20.00 s" in causes["clock_steps"].sentence

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from examined_rigs import rig
 
+from trajeval_ros import simulate
 from trajeval_ros.cli.app import main
+from trajeval_ros.geometry import lie
 from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.sources import read_trajectory
 
@@ -117,3 +119,25 @@ def test_bad_input_is_one_sentence(bag: Path, capsys: pytest.CaptureFixture[str]
         assert not said.out
         assert said.err.count("\n") == 1
         assert sentence in said.err
+
+
+def test_outliers_and_flips_are_found_without_an_imu(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = simulate(seed=4, duration_s=40.0).groundtruth
+    positions, quaternions = flight.positions.copy(), flight.known_quaternions.copy()
+    positions[2000] += [0.0, 30.0, 0.0]
+    quaternions[3000:3010] = lie.multiply(quaternions[3000:3010], np.array([[1.0, 0, 0, 0]]))
+    path = tmp_path / "mocap.txt"
+    columns = [flight.stamps[:, None] / 1e9, positions, quaternions]
+    np.savetxt(path, np.hstack(columns), fmt=["%.9f"] + ["%.17g"] * 7)
+    assert main(["groundtruth", str(path)]) == 0
+    shown = capsys.readouterr().out
+    at_s = [(flight.stamps[row - 1] - flight.stamps[0]) / 1e9 for row in (2000, 3000)]
+    drop = "evaluate with --drop-groundtruth-outliers."
+    assert f"1 outlier of 30.00 m at {at_s[0]:.2f} s; {drop}" in shown
+    assert f"1 flip of 180 deg at {at_s[1]:.2f} s; {drop}" in shown
+    assert main(["groundtruth", str(path), "--json", "-"]) == 0
+    causes = {cause["name"]: cause for cause in json.loads(capsys.readouterr().out)["causes"]}
+    assert causes["flips"]["verdict"] == causes["outliers"]["verdict"] == "significant"
+    assert causes["steps"]["verdict"] == "insignificant"

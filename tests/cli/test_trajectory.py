@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -12,7 +13,9 @@ from paths import TESTS
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.cli.app import main
 from trajeval_ros.cli.plotting import Plotting
+from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
+from trajeval_ros.io.save_trajectories import save_trajectories
 from trajeval_ros.io.sources import read_trajectory
 
 PAIR = TESTS / "data/parity/pairs/drone_loop"
@@ -187,3 +190,49 @@ def test_a_merge_counts_and_prints_what_it_drops(
     command = ["trajectory", *map(str, paths), "--merge", "--save-as", "tum", "--output"]
     assert main([*command, str(tmp_path / "out")]) == 0
     assert "20 of 40 poses dropped: an earlier source has a pose" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("orientations", [True, False])
+def test_clock_and_marker_are_those_of_an_evaluation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], *, orientations: bool
+) -> None:
+    """The paired, aligned poses have the position errors of `trajeval evaluate`."""
+    groundtruth = HandEye.from_text("0.3,-0.1,0.2,0,0,0.6,0.8")
+    assert groundtruth is not None
+    moved = groundtruth.inverse().of_body(read_trajectory(GT))
+    if not orientations:
+        moved = dataclasses.replace(moved, quaternions=None)
+    late = read_trajectory(EST)
+    late = dataclasses.replace(late, stamps=late.stamps - 250_000_000)
+    names = {"gt": moved, "est": late}
+    for name, trajectory in names.items():
+        named = [dataclasses.replace(trajectory, name=name)]
+        save_trajectories(tmp_path, named, "tum", "PoseStamped")
+    gt, est = str(tmp_path / "gt.txt"), str(tmp_path / "est.txt")
+    options = ["--gauge", "yaw", "--time-offset", "0.25", "--hand-eye", "0.3,-0.1,0.2,0,0,0.6,0.8"]
+    assert main(["evaluate", "-g", gt, "-e", est, *options, "--json", "-"]) == 0
+    expected = json.loads(capsys.readouterr().out)["runs"][0]["ate"]["position_m"]
+    saved = tmp_path / "saved"
+    command = ["trajectory", est, "--reference", gt, *options, "--synchronise"]
+    assert main([*command, "--save-as", "tum", "--output", str(saved)]) == 0
+    aligned, reference = (np.loadtxt(saved / f"est{end}.txt") for end in ("", "_reference"))
+    errors = np.linalg.norm(aligned[:, 1:4] - reference[:, 1:4], axis=1)
+    assert len(errors) == expected["count"]
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(expected["rmse"], rel=1e-4)
+    plain = read_trajectory(EST)
+    assert aligned[0, 0] == pytest.approx(plain.stamps[0] * 1e-9, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--time-offset", "auto"], "trajectory applies known values only"),
+        (["--hand-eye", "auto"], "trajectory applies known values only"),
+        (["--hand-eye", "0,0,0,0,0,0,1"], "need a reference; give --reference SOURCE"),
+    ],
+)
+def test_a_calibration_is_given(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["trajectory", EST, *options]) == 2
+    assert message in capsys.readouterr().err

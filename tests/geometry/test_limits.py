@@ -299,8 +299,8 @@ def test_stamps_that_stand_alone(
     assert rows.tolist() == trusted
     assert trust.lone == len(seconds) - len(trusted)
     assert trust.farthest_ns == round(farthest * SECOND)
-    assert (f"{farthest:.4g} s" in trust.said) == (trust.lone > 0)
-    assert trust.said.startswith("1 pose dropped" if trust.lone else "")
+    assert (f"{farthest:.4g} s" in trust.message) == (trust.lone > 0)
+    assert trust.message.startswith("1 pose dropped" if trust.lone else "")
 
 
 def test_spans_of_time_include_their_ends() -> None:

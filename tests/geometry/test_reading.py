@@ -69,8 +69,8 @@ def test_states_at_other_times_have_no_data_by_row() -> None:
 
 def test_remarks_have_levels() -> None:
     read = ROWS.remarked(warning("w", "one"), damaged("two"))
-    assert read.said(Level.WARNING) == ("one",)
-    assert read.said(Level.ERROR) == ("two",)
+    assert read.messages(Level.WARNING) == ("one",)
+    assert read.messages(Level.ERROR) == ("two",)
     assert read.format == "KITTI"
     assert [remark_of(remark_json(remark)) for remark in read.remarks] == list(read.remarks)
 

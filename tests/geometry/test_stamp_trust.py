@@ -68,7 +68,7 @@ def test_batches_don_t_matter(stamps: list[int], cuts: list[int]) -> None:
     found = [trust.take(in_ns[part], part)[1] for part in parts]
     found.append(trust.take(in_ns[:0], np.arange(0), at_end=True)[1])
     np.testing.assert_array_equal(np.concatenate(found), expected)
-    assert (trust.lone, trust.said) == (whole.lone, whole.said)
+    assert (trust.lone, trust.message) == (whole.lone, whole.message)
 
 
 def test_nothing_waits_for_ever() -> None:
@@ -154,5 +154,5 @@ def test_one_stamp_of_the_future_costs_one_pair_and_is_told(tmp_path: Path) -> N
     assert read.reading.dropped["lone_stamp"] == 1
     assert any(
         "1 pose dropped: its timestamp differs by 7200 s" in sentence
-        for sentence in read.reading.said(Level.NOTE)
+        for sentence in read.reading.messages(Level.NOTE)
     )

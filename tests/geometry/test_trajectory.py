@@ -120,7 +120,7 @@ def test_columns_that_are_not_finite_throughout_are_left_out_and_said_so(
     )
     assert len(read) == 4
     assert getattr(read, column) is None
-    assert any(column.replace("_", " ") in note for note in read.reading.said(Level.NOTE))
+    assert any(column.replace("_", " ") in note for note in read.reading.messages(Level.NOTE))
 
 
 def test_quaternions_of_any_length_are_rotations() -> None:
@@ -232,7 +232,7 @@ def test_of_equal_stamps_the_first_stays_and_the_others_are_counted() -> None:
     np.testing.assert_array_equal(ordered.stamps, [1, 2, 3])
     np.testing.assert_array_equal(ordered.positions, positions[[1, 3, 0]])
     assert ordered.reading.dropped == {"duplicate_stamp": 3}
-    assert "timestamps step back at 1 place" in ordered.reading.said(Level.NOTE)[0]
+    assert "timestamps step back at 1 place" in ordered.reading.messages(Level.NOTE)[0]
 
 
 @given(seed=seeds, coarse=st.integers(2, 3))
@@ -243,7 +243,7 @@ def test_rounded_stamps_dont_conflict(seed: int, coarse: int) -> None:
     rounded = stamps(60) // (coarse * 10**9) * coarse * 10**9
     ordered = Trajectory(rounded, positions).in_order()
     assert ordered.reading.dropped["duplicate_stamp"] == 60 - len(set(rounded.tolist()))
-    assert ordered.reading.said(Level.WARNING) == ()
+    assert ordered.reading.messages(Level.WARNING) == ()
 
 
 @given(seed=seeds, place=st.integers(1, 57), offset_m=st.floats(1.0, 1e3), early=st.booleans())
@@ -256,7 +256,7 @@ def test_repeats_that_are_elsewhere_are_told_with_their_distance(
     times[place + 1] = times[place]
     positions[place + 1] = positions[place]
     positions[place if early else place + 1, 2] += offset_m
-    (said,) = Trajectory(times, positions, name="mocap").in_order().reading.said(Level.WARNING)
+    (said,) = Trajectory(times, positions, name="mocap").in_order().reading.messages(Level.WARNING)
     assert said.startswith("mocap has 1 repeated timestamp (of 1) with different positions")
     assert f"up to {offset_m:.3g} m apart" in said
 

@@ -186,13 +186,37 @@ def test_a_topic_that_cannot_be_evaluated_is_still_listed(
     from made_bags import pose_stamped, write
 
     messages = [
-        (topic, POSE_STAMPED, row, pose_stamped(row * (topic == "/good"), float(row)))
+        (topic, POSE_STAMPED, row, pose_stamped(row if topic == "/good" else 7, float(row)))
         for row in range(1, 4)
         for topic in ("/bad", "/good")
     ]
     bag = write(tmp_path / "bag", messages)
     bad, good = describe(str(bag)).trajectories
-    assert "all timestamps are zero" in bad.problem
+    assert "all timestamps (3) are equal" in bad.problem
     assert not good.problem
     info.main([str(bag)], standalone_mode=False)
-    assert "all timestamps are zero" in capsys.readouterr().out
+    assert "all timestamps (3) are equal" in capsys.readouterr().out
+
+
+def test_the_path_of_a_bag_names_no_role(tmp_path: Path) -> None:
+    from made_bags import pose_stamped, write
+
+    messages = [
+        (topic, POSE_STAMPED, row, pose_stamped(row, float(row)))
+        for row in (1, 2)
+        for topic in ("/mocap/body", "/slam/pose")
+    ]
+    bag = write(tmp_path / "groundtruth" / "run_with_truth", messages)
+    roles = {
+        item.source.rpartition(":")[2]: item.could_be for item in describe(str(bag)).trajectories
+    }
+    assert roles == {"/mocap/body": "groundtruth", "/slam/pose": "estimate or groundtruth"}
+
+
+def test_a_bag_of_one_topic_names_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from made_bags import pose_stamped, write
+
+    poses = [pose_stamped(row, float(row)) for row in (1, 2)]
+    messages = [("/mocap/body", POSE_STAMPED, row, pose) for row, pose in enumerate(poses)]
+    assert main(["info", str(write(tmp_path / "bag", messages))]) == 0
+    assert "topic            /mocap/body" in capsys.readouterr().out

@@ -151,10 +151,10 @@ def assert_same(one: Trajectory, other: Trajectory) -> None:
     for name in ("frame", "child_frame", "name"):
         assert getattr(one, name) == getattr(other, name), name
     assert one.reading.dropped == other.reading.dropped
-    assert one.reading.said(Level.ERROR) == other.reading.said(Level.ERROR)
+    assert one.reading.messages(Level.ERROR) == other.reading.messages(Level.ERROR)
     assert one.reading.stamped == other.reading.stamped
     notes = [
-        [sentence for sentence in read.reading.said(Level.NOTE) if "read in part" not in sentence]
+        [note for note in read.reading.messages(Level.NOTE) if "read in part" not in note]
         for read in (one, other)
     ]
     assert notes[0] == notes[1]
@@ -193,9 +193,9 @@ def assert_no_silent_loss(sources: Sequence[str]) -> list[Trajectory | str]:
     ]
     read = [found for found in item if isinstance(found, Trajectory)]
     for one, other in zip(read_many(kept), read, strict=True):
-        assert len(one) >= len(other) or one.reading.said(Level.ERROR)
-        assert len(other) >= len(one) or other.reading.said(Level.ERROR)
-        if not one.reading.said(Level.ERROR) and not other.reading.said(Level.ERROR):
+        assert len(one) >= len(other) or one.reading.messages(Level.ERROR)
+        assert len(other) >= len(one) or other.reading.messages(Level.ERROR)
+        if not one.reading.messages(Level.ERROR) and not other.reading.messages(Level.ERROR):
             assert_same(one, other)
     return item
 
@@ -242,7 +242,7 @@ def test_the_law_holds_for_damaged_bags(kind: str, tmp_path: Path) -> None:
         else:
             found = assert_no_silent_loss(sources)
         damaged += any(
-            isinstance(item, str) or bool(item.reading.said(Level.ERROR)) for item in found
+            isinstance(item, str) or bool(item.reading.messages(Level.ERROR)) for item in found
         )
     assert damaged
 
@@ -255,10 +255,10 @@ def test_damage_is_told_of_the_sources_that_it_is_in(tmp_path: Path) -> None:
     content[200:240] = bytes(40)  # within the first chunk, of odometry
     bag.write_bytes(content)
     truth, odometry = read_many([f"{bag}:/truth", f"{bag}:/odom"])
-    assert not truth.reading.said(Level.ERROR)
+    assert not truth.reading.messages(Level.ERROR)
     assert len(truth) == COUNT
-    assert any("on /odom, but" in sentence for sentence in odometry.reading.said(Level.ERROR))
-    assert not any("/truth" in sentence for sentence in odometry.reading.said(Level.ERROR))
+    assert any("on /odom, but" in sentence for sentence in odometry.reading.messages(Level.ERROR))
+    assert not any("/truth" in sentence for sentence in odometry.reading.messages(Level.ERROR))
     assert_same(read_many([f"{bag}:/truth"], strict=True)[0], truth)
     with pytest.raises(InputError, match="messages on /odom"):
         read_many([f"{bag}:/truth", f"{bag}:/odom"], strict=True)
@@ -276,9 +276,9 @@ def test_a_damaged_page_of_one_topic_loses_no_message_of_the_others(tmp_path: Pa
     truth, path = read_many([f"{bag}:/truth", f"{bag}:/path"])
     assert len(truth) == COUNT
     assert (
-        truth.reading.said(Level.ERROR) == path.reading.said(Level.ERROR) != ()
+        truth.reading.messages(Level.ERROR) == path.reading.messages(Level.ERROR) != ()
     )  # the scan of both ended there
-    assert not read_trajectory(f"{bag}:/truth").reading.said(Level.ERROR)
+    assert not read_trajectory(f"{bag}:/truth").reading.messages(Level.ERROR)
 
 
 @given(seeds)

@@ -64,7 +64,7 @@ def test_what_is_compressed_or_cut_is_read_as_well(tmp_path: Path) -> None:
     read = read_trajectory(f"{STORE}/cut.mcap:/pose")
     assert rows_of(read) == list(range(len(read)))
     assert len(read) > 0.4 * COUNT
-    assert read.reading.said(Level.ERROR)
+    assert read.reading.messages(Level.ERROR)
 
 
 @pytest.mark.usefixtures("wire")
@@ -74,7 +74,7 @@ def test_a_directory_in_a_store(tmp_path: Path) -> None:
         (upath.UPath(STORE) / "both" / file.name).write_bytes(file.read_bytes())
     read = read_trajectory(f"{STORE}/both:/pose")
     assert rows_of(read) == list(range(200))
-    assert not read.reading.said(Level.ERROR)
+    assert not read.reading.messages(Level.ERROR)
 
 
 @pytest.mark.usefixtures("wire")

@@ -361,7 +361,7 @@ def test_damage_is_reported_and_refused_if_strict(tmp_path: Path) -> None:
     path.write_bytes(raw)
     found = read_trajectory(f"{path}:vehicle_odometry")
     assert 0 < len(found) < COUNT
-    assert "is damaged" in "; ".join(found.reading.said(Level.ERROR))
+    assert "is damaged" in "; ".join(found.reading.messages(Level.ERROR))
     with pytest.raises(InputError, match="is damaged"):
         read_trajectory(f"{path}:vehicle_odometry", strict=True)
     path.write_bytes(raw[:20])
@@ -507,6 +507,6 @@ def test_a_cut_log_is_read_up_to_its_end(tmp_path: Path) -> None:
     whole = read_trajectory(f"{DATA / 'synthetic_1_16.ulg'}:vehicle_odometry")
     np.testing.assert_array_equal(found.positions, whole.positions[: len(found)])
     assert len(found) == 1555
-    assert "its last 27 bytes are truncated" in "; ".join(found.reading.said(Level.ERROR))
+    assert "its last 27 bytes are truncated" in "; ".join(found.reading.messages(Level.ERROR))
     with pytest.raises(InputError, match="27 bytes"):
         read_trajectory(f"{path}:vehicle_odometry", strict=True)

@@ -330,6 +330,7 @@ def test_a_run_of_hours_ends_before_its_evaluation(
                 sides[1].publish(payload)
             arrays.clear()
             peer.until(lambda: pairs() > begin, "pairs")  # noqa: B023
+        peer.until(lambda: pairs() > count - 100, "all pairs")
         assert live.end() == 0
         assert "continues in another process" in live.said
         until((live.folder / "result.json").exists, "the result")

@@ -102,7 +102,7 @@ def rows_of(read: Trajectory) -> list[int]:
 def assert_whole(source: Path | str, count: int = COUNT) -> Trajectory:
     read = read_trajectory(str(source))
     assert rows_of(read) == list(range(count))
-    assert not read.reading.said(Level.ERROR)
+    assert not read.reading.messages(Level.ERROR)
     assert rows_of(read_trajectory(str(source), strict=True)) == list(range(count))
     return read
 
@@ -110,7 +110,7 @@ def assert_whole(source: Path | str, count: int = COUNT) -> Trajectory:
 def assert_damaged(source: Path | str, *words: str) -> Trajectory:
     """Check that part of it is read, that the damage is told, and that --strict refuses it."""
     read = read_trajectory(str(source))
-    said = "; ".join(read.reading.said(Level.ERROR))
+    said = "; ".join(read.reading.messages(Level.ERROR))
     assert said
     for word in words:
         assert word in said

@@ -57,14 +57,13 @@ def verdict_on(changed: Changed, *, strict: bool) -> str:
     if read is None:
         return "read"
     lost = changed.poses - len(read) - sum(read.reading.dropped.values())
-    assert lost <= 0 or (read.reading.said(Level.ERROR) and not strict), (
+    assert lost <= 0 or (read.reading.messages(Level.ERROR) and not strict), (
         f"{lost} poses were lost without a word"
     )
     for column in (read.positions, read.quaternions):
         assert column is None or np.isfinite(column).all(), "a number is none"
-    return (
-        "read, with a word" if read.reading.said(Level.ERROR) or read.reading.dropped else "read"
-    )
+    is_told = read.reading.messages(Level.ERROR) or read.reading.dropped
+    return "read, with a word" if is_told else "read"
 
 
 def one_input(name: str, seed: int, number: int) -> tuple[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from strategies import make_pair
 
+from trajeval_ros import write_result
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.metrics.evaluation import Evaluation
@@ -99,8 +101,23 @@ def test_arrow_has_the_same_numbers() -> None:
     table = evaluation.to_arrow()
     assert table.num_rows > 0
     assert "position_m" in table.column_names
-    for name, column in evaluation.to_columns().items():
-        np.testing.assert_array_equal(table[name].to_numpy(), column)
+    columns = evaluation.to_columns()
+    for name in ("stamps", "position_m", "rotation_deg"):
+        np.testing.assert_array_equal(table[name].to_numpy(), columns[name])
+    for at, axis in enumerate("xyz"):
+        column = table[f"position_world_m_{axis}"].to_numpy()
+        np.testing.assert_array_equal(column, columns["position_world_m"][:, at])
+
+
+def test_tables_have_the_columns_of_the_written_one(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas", reason="pandas is missing")
+    pytest.importorskip("pyarrow", reason="pyarrow is missing")
+    outcome = outcome_of()
+    write_result(outcome, tmp_path)
+    written = pandas.read_parquet(tmp_path / "errors.parquet")
+    (frame,) = (item.evaluation.to_pandas() for item in outcome.runs)
+    pandas.testing.assert_frame_equal(frame, written, check_dtype=False)
+    assert outcome.runs[0].evaluation.to_arrow().column_names == list(written.columns)
 
 
 def test_pandas_has_the_same_numbers() -> None:

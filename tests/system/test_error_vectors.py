@@ -19,7 +19,6 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.install_command import pyarrow_command
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.results import error_archive
-from trajeval_ros.io.results.pair_columns import pair_columns
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.outcome import Outcome
@@ -118,8 +117,8 @@ def test_columns_are_along_the_groundtruths_own_axes() -> None:
     request = Request(Protocol(gauge="yaw", lengths=()))
     upright = run(flight.groundtruth, [flight.estimate], request)
     camera = run(turned(flight.groundtruth), [turned(flight.estimate)], request)
-    expected = pair_columns(upright.runs[0], upright.groundtruth.up)
-    found = pair_columns(camera.runs[0], camera.groundtruth.up)
+    expected = upright.runs[0].evaluation.to_columns()
+    found = camera.runs[0].evaluation.to_columns()
     for name in ("aligned_positions", "position_world_m", "rotation_world_deg"):
         np.testing.assert_allclose(found[name], turn.apply(expected[name]), atol=1e-9)
     for name in ("position_body_m", "rotation_body_deg", "position_m"):

@@ -17,15 +17,17 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
-from trajeval_ros import Protocol, Request, evaluate, run, simulate
+from trajeval_ros import OnlineSettings, Protocol, Request, evaluate, run, simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule, trajectory_of_rows
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum, east_north_up
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag
+from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.sources import read_trajectory
 
 FLIGHT = simulate(seed=3, duration_s=40.0)
@@ -535,6 +537,28 @@ def test_earth_centred_coordinates_have_no_up_axis(
     assert (evaluation.ate["tilt_deg"] is None) == is_centred
     assert evaluation.ate["rotation_deg"] is not None
     assert not is_centred or not any("UTM" in text for text in evaluation.warnings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "gauge"),
+    [
+        ({}, Gauge.YAW),
+        ({"modality": "lidar"}, Gauge.YAW),
+        ({"modality": "stereo"}, Gauge.SE3),
+        ({"modality": "lidar", "gauge": "se3"}, Gauge.SE3),
+        ({"modality": "lidar", "protocol": "evo"}, Gauge.SE3),
+    ],
+)
+def test_heights_of_fixes_tilt_no_lidar(settings: dict[str, str], gauge: Gauge) -> None:
+    flight = simulate(seed=1, duration_s=20.0)
+    fixes = fixes_of(flight.groundtruth.stamps[::20], flight.groundtruth.positions[::20])
+    request = request_from(settings).for_trajectories(fixes, [flight.estimate])
+    assert request.protocol.gauge is gauge
+    other = request_from(settings).for_trajectories(flight.groundtruth, [flight.estimate])
+    assert other.protocol.gauge is Gauge.SE3
+    live = OnlineSettings(protocol=Protocol(modality="lidar"))
+    assert live.with_gauge(Gauge.SE3) is live
+    assert live.with_gauge(Gauge.YAW).protocol.gauge is Gauge.YAW
 
 
 @pytest.mark.slow

@@ -82,6 +82,16 @@ def test_a_vehicle_across_another_axis_is_doubted(seed: int, axis: str, slope_de
     assert up_axis_doubt(dataclasses.replace(truth, up=UpAxis(axis, "frame x_optical"))) == ""
 
 
+def test_an_estimate_that_turns_about_z_keeps_its_axis() -> None:
+    truth = standing(car(1), "y", said=False)
+    assert "set --up=y,z or --up=-y,z;" in up_axis_doubt(truth, car(1))
+    assert "set --up=-y or --up=y;" in up_axis_doubt(truth, truth)
+    positions = dataclasses.replace(car(1), quaternions=None)
+    assert "set --up=-y or --up=y;" in up_axis_doubt(truth, positions)
+    with pytest.raises(InputError, match="set --up=y,z or"):
+        evaluate(truth, car(1), Protocol(gauge="yaw"))
+
+
 def circling(
     count: int = 400, *, heading: float = np.pi, roll_deg: float = 0.0, height_m: float = 0.0
 ) -> Trajectory:

@@ -51,7 +51,7 @@ class Calibrated:
     """An evaluation with the applied calibration."""
 
     evaluation: Evaluation  # the evaluation with the applied parameters
-    wanted: CalibrationRequest
+    request: CalibrationRequest
     calibration: Calibration | None  # the estimated parameters; None if nothing was estimated
     estimated_from: str  # name of the estimate that they were estimated from
     offset_applied: bool  # whether the estimated offset is applied
@@ -74,7 +74,7 @@ class Calibrated:
         if self.calibration is None:
             return 0
         count = int(self.offset_applied)
-        if self.wanted.known is None:
+        if self.request.known is None:
             count += self.calibration.turn.seen if self.rotation_applied else 0
             count += self.calibration.lever.seen if self.lever_applied else 0
         return count
@@ -91,7 +91,7 @@ def evaluate_calibrated(
     groundtruth: Trajectory,
     estimate: Trajectory,
     protocol: Protocol,
-    wanted: CalibrationRequest,
+    request: CalibrationRequest,
     *,
     same_as: Calibrated | None = None,
     pairs: Association | None = None,
@@ -104,24 +104,24 @@ def evaluate_calibrated(
     with individual calibrations cannot be ranked. `pairs` were paired before, as in a live run.
     Only if it `compares`, the error without the calibration is computed.
     """
-    if protocol.lever_m is not None and (wanted.hand_eye or wanted.known is not None):
+    if protocol.lever_m is not None and (request.hand_eye or request.known is not None):
         raise SettingsError(
             f"protocol {protocol.name} already defines a lever arm; remove --hand-eye, or use a "
             "protocol file with a different lever_m"
         )
-    if wanted.known is not None:
-        wanted.known.require_frames(groundtruth, estimate)
+    if request.known is not None:
+        request.known.require_frames(groundtruth, estimate)
     calibration, source = None, estimate.name
     if same_as is not None:
         calibration, source = same_as.calibration, same_as.estimated_from
-    elif wanted.offset or wanted.hand_eye:
+    elif request.offset or request.hand_eye:
         calibration = calibrate(
             groundtruth, estimate, protocol.gauge, around_s=protocol.association.time_offset_s
         )
     if calibration is not None:
-        _require_body_known(calibration, protocol, wanted)
-    found = _Found.in_calibration(calibration, wanted)
-    used = found.significant()
+        _require_body_known(calibration, protocol, request)
+    parameters = _Significant.in_calibration(calibration, request)
+    used = parameters.significant()
     before = None  # if the states cannot be paired or aligned
     with contextlib.suppress(NoMatchError, DegenerateGeometryError):
         if compares:
@@ -129,14 +129,14 @@ def evaluate_calibrated(
     try:
         evaluation, of_marker = _with(groundtruth, estimate, protocol, used, pairs)
     except NoMatchError as error:
-        if calibration is None or not wanted.offset or used.offset is not None:
+        if calibration is None or not request.offset or used.offset is not None:
             raise
         why = calibration.offset.reason
         raise NoMatchError(f"{error}; --time-offset auto finds no offset: {why}") from error
     after = Ate.of(evaluation)
     calibrated = Calibrated(
         evaluation=evaluation,
-        wanted=wanted,
+        request=request,
         calibration=calibration,
         estimated_from=source,
         offset_applied=used.offset is not None,
@@ -147,8 +147,8 @@ def evaluate_calibrated(
         before=before,
         after=after,
         if_applied=None
-        if found == used
-        else Ate.of(_with(groundtruth, estimate, protocol, found, pairs)[0]),
+        if parameters == used
+        else Ate.of(_with(groundtruth, estimate, protocol, parameters, pairs)[0]),
     )
     remarks = (*evaluation.remarks, *_remarks(calibrated))
     return dataclasses.replace(
@@ -157,11 +157,11 @@ def evaluate_calibrated(
 
 
 def _require_body_known(
-    calibration: Calibration, protocol: Protocol, wanted: CalibrationRequest
+    calibration: Calibration, protocol: Protocol, request: CalibrationRequest
 ) -> None:
     """Refuse an alignment by orientations if the rotation between the bodies is unknown."""
     turn = calibration.turn
-    if protocol.align_with == "poses" and wanted.hand_eye and turn.status in (WEAK, UNOBSERVABLE):
+    if protocol.align_with == "poses" and request.hand_eye and turn.status in (WEAK, UNOBSERVABLE):
         raise InputError(
             "--hand-eye auto can't estimate the rotation between the two bodies "
             f"({turn.reason}), so orientations can't be used for the alignment; use "
@@ -170,7 +170,7 @@ def _require_body_known(
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Significant:
     """The requested parameters that have a value: offset, rotation, lever arm, or a transform."""
 
     offset: Parameter | None
@@ -179,28 +179,30 @@ class _Found:
     known: HandEye | None
 
     @classmethod
-    def in_calibration(cls, calibration: Calibration | None, wanted: CalibrationRequest) -> _Found:
+    def in_calibration(
+        cls, calibration: Calibration | None, request: CalibrationRequest
+    ) -> _Significant:
         """Return the requested parameters of a calibration."""
 
         def asked(parameter: Parameter, wish: bool) -> Parameter | None:
             return parameter if wish and parameter.value is not None else None
 
         if calibration is None:
-            return cls(None, None, None, wanted.known)
+            return cls(None, None, None, request.known)
         return cls(
-            asked(calibration.offset, wanted.offset),
-            asked(calibration.turn, wanted.hand_eye),
-            asked(calibration.lever, wanted.hand_eye),
-            wanted.known,
+            asked(calibration.offset, request.offset),
+            asked(calibration.turn, request.hand_eye),
+            asked(calibration.lever, request.hand_eye),
+            request.known,
         )
 
-    def significant(self) -> _Found:
+    def significant(self) -> _Significant:
         """Return the parameters that are observable, precise and significant."""
         offset, turn, lever = (
             parameter if parameter is not None and parameter.is_significant else None
             for parameter in (self.offset, self.turn, self.lever)
         )
-        return _Found(offset, turn, lever, self.known)
+        return _Significant(offset, turn, lever, self.known)
 
     @property
     def hand_eye(self) -> HandEye | None:
@@ -227,7 +229,7 @@ def _with(
     groundtruth: Trajectory,
     estimate: Trajectory,
     protocol: Protocol,
-    used: _Found,
+    used: _Significant,
     pairs: Association | None,
 ) -> tuple[Evaluation, bool]:
     """Evaluate with parameters; the second value is whether errors are those of the marker."""
@@ -271,7 +273,7 @@ def _scale(body: Evaluation, protocol: Protocol, hand_eye: HandEye) -> float:
 
 def _remarks(calibrated: Calibrated) -> list[Remark]:
     """Return warnings about the calibration and about significant clock offsets."""
-    calibration, wanted = calibrated.calibration, calibrated.wanted
+    calibration, request = calibrated.calibration, calibrated.request
     warnings = list(() if calibration is None else calibration.remarks)
     before, after = calibrated.before, calibrated.after
     something = calibrated.offset_applied or calibrated.hand_eye is not None
@@ -283,7 +285,7 @@ def _remarks(calibrated: Calibrated) -> list[Remark]:
                 f"{after.position_m:.4g} m, so it does not explain the error",
             )
         )
-    if calibration is not None and not wanted.offset and calibration.offset.is_significant:
+    if calibration is not None and not request.offset and calibration.offset.is_significant:
         assert calibration.offset.value is not None
         assert calibration.offset.half_width_95 is not None
         assumed_s = calibrated.evaluation.protocol.association.time_offset_s

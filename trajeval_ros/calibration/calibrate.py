@@ -180,11 +180,11 @@ def _judged(
     with_skew: bool,
 ) -> Calibration:
     """Return the calibration with the status of every parameter."""
-    fitted, found = solution.fit, solution.found
+    fitted, observable = solution.fit, solution.directions
     duration_s = float(np.ptp(fitted.linearised.seconds))
     left_out = solution.left_out
     warnings = [warning("parameters_left_out", left_out)] if left_out else []
-    if not fitted.settled and any(directions.seen.any() for directions in found.values()):
+    if not fitted.settled and any(directions.seen.any() for directions in observable.values()):
         warnings.append(
             warning(
                 "calibration_not_converged",
@@ -212,13 +212,15 @@ def _judged(
     def verdict(name: str, unit: str) -> Parameter:
         columns = COLUMNS_OF[name]
         covariance = fitted.covariance[columns, columns]
-        if name not in found or (found[name].seen.any() and not np.diag(covariance).any()):
+        if name not in observable or (
+            observable[name].seen.any() and not np.diag(covariance).any()
+        ):
             return unobservable(_TOO_SHORT)
         return judge(
             values[name],
             covariance + _FLOORS[name] ** 2 * np.eye(len(covariance)),
             extra.get(name, 0.0),
-            found[name],
+            observable[name],
             fitted.blocks,
             widest=WIDEST[name],
             unit=unit,

@@ -51,10 +51,10 @@ def lever_arm(
     and `marker_steps` (N, 3) is R_X dq in the same axes, metres. The scale is 1 if not estimated.
     """
     design = turned.reshape(-1, 3)
-    wanted = marker_steps.reshape(-1)
+    target = marker_steps.reshape(-1)
     if not with_scale:
-        wanted = wanted - steps.reshape(-1)
+        target = target - steps.reshape(-1)
     else:
         design = np.column_stack([design, steps.reshape(-1)])
-    solution = np.linalg.lstsq(design, wanted, rcond=1e-6)[0].tolist()
+    solution = np.linalg.lstsq(design, target, rcond=1e-6)[0].tolist()
     return np.array(solution[:3]), solution[3] if with_scale else 1.0

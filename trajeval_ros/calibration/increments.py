@@ -77,12 +77,12 @@ class PoseInterpolator:
         )
 
 
-def nearest_rows(stamps: Stamps, wanted: Stamps) -> NDArray[np.int64]:
+def nearest_rows(stamps: Stamps, targets: Stamps) -> NDArray[np.int64]:
     """Return the row of the stamp nearest to every wanted one (N,); the stamps are sorted."""
-    after = np.minimum(np.searchsorted(stamps, wanted), len(stamps) - 1)
+    after = np.minimum(np.searchsorted(stamps, targets), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(
-        np.abs(stamps[before] - wanted) < np.abs(stamps[after] - wanted), before, after
+        np.abs(stamps[before] - targets) < np.abs(stamps[after] - targets), before, after
     )
 
 

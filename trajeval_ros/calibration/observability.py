@@ -57,23 +57,27 @@ def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
     )
     size = jacobian_with_swapped_sides.shape[1]
     weights = np.repeat(fitted.weights, 3, axis=1)[known, :size]
-    own, jacobian_with_swapped_sides = (
+    jacobian, jacobian_with_swapped_sides = (
         fitted.linearised.jacobian[known],
         jacobian_with_swapped_sides[known],
     )
     blocks = {"offset": OFFSET, "skew": SKEW}
     if increments.has_turns:
         blocks |= {"turn": TURN, "lever": LEVER}
-    found = {
-        name: _directions(own[..., columns], jacobian_with_swapped_sides[..., columns], weights)
+    by_name = {
+        name: _directions(
+            jacobian[..., columns], jacobian_with_swapped_sides[..., columns], weights
+        )
         for name, columns in blocks.items()
     }
     if increments.has_lever and not increments.has_turns:
-        found["lever"] = _turning(increments.turned[rows])
-    return found
+        by_name["lever"] = _turning(increments.turned[rows])
+    return by_name
 
 
-def _directions(own: Floats, jacobian_with_swapped_sides: Floats, weights: Floats) -> Directions:
+def _directions(
+    jacobian: Floats, jacobian_with_swapped_sides: Floats, weights: Floats
+) -> Directions:
     """Return the directions of a parameter from both Jacobians (N, 3 or 6, k) and weights."""
 
     def product(left: Floats, right: Floats) -> Floats:
@@ -82,9 +86,9 @@ def _directions(own: Floats, jacobian_with_swapped_sides: Floats, weights: Float
         return summed
 
     mine, theirs, both = (
-        product(own, own),
+        product(jacobian, jacobian),
         product(jacobian_with_swapped_sides, jacobian_with_swapped_sides),
-        product(own, jacobian_with_swapped_sides),
+        product(jacobian, jacobian_with_swapped_sides),
     )
     directions = np.linalg.eigh(mine + theirs)[1].T
     along = [
@@ -118,7 +122,7 @@ class CalibrationFit:
     """A fit with the observability of its directions."""
 
     fit: Fit  # the fit
-    found: dict[str, Directions]  # the directions of every parameter, fitted or not
+    directions: dict[str, Directions]  # the directions of every parameter, fitted or not
     free: dict[str, Floats]  # the free directions of every fitted parameter, as rows
     left_out: str  # A sentence about parameters that are not fitted; empty if there are none
 
@@ -161,17 +165,17 @@ def _settle(
         fitted = fit(increments, start, basis_of(free))
         if fitted is None:
             return solution
-        found = observability(increments, fitted)
-        solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
+        observable = observability(increments, fitted)
+        solution = CalibrationFit(fitted, {**observable, **hidden}, free, "")
         worse = {
             name: directions
-            for name, directions in found.items()
+            for name, directions in observable.items()
             if name in free and name not in hidden and not directions.seen.all()
         }
         if not worse:
             return solution
         hidden |= worse
-        solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
+        solution = CalibrationFit(fitted, {**observable, **hidden}, free, "")
         free = {
             name: worse[name].directions[worse[name].seen] if name in worse else axes
             for name, axes in free.items()

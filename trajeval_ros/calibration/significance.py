@@ -85,7 +85,7 @@ def judge(
     value: Floats,
     covariance: Floats,
     systematic: float,
-    found: Directions,
+    directions: Directions,
     blocks: int,
     *,
     widest: float,
@@ -103,14 +103,16 @@ def judge(
     from scipy.special import stdtrit
 
     quantile = float(stdtrit(blocks - 1, 0.975))
-    axes = found.directions[found.seen]
-    hidden = ", ".join(map(axis_name, found.directions[~found.seen]))
+    axes = directions.directions[directions.seen]
+    hidden = ", ".join(map(axis_name, directions.directions[~directions.seen]))
     if whole and hidden:
-        return unobservable(f"not observable about {hidden} in this motion", found.reliability)
+        return unobservable(
+            f"not observable about {hidden} in this motion", directions.reliability
+        )
     if not len(axes):
-        best = float(found.reliability.max())
+        best = float(directions.reliability.max())
         why = f"not observable in this motion (reliability {best:.2f}, required 0.5)"
-        return unobservable(why, found.reliability)
+        return unobservable(why, directions.reliability)
     # Unobservable directions are zero and not tested.
     shown = axes @ covariance @ axes.T
     within = shown + systematic**2 * np.eye(len(axes))
@@ -127,7 +129,9 @@ def judge(
         reason = "p < 1e-6" if by_chance < 1e-6 else f"p = {by_chance:.2g}"
     if hidden:
         reason += f"; not observable along {hidden}, assumed 0 there"
-    return Parameter(value, sigma, quantile * sigma, found.reliability, status, reason, by_chance)
+    return Parameter(
+        value, sigma, quantile * sigma, directions.reliability, status, reason, by_chance
+    )
 
 
 def chance_of(value: Floats, covariance: Floats, blocks: int) -> float:

@@ -33,7 +33,7 @@ from trajeval_ros.io.save_trajectories import MESSAGES, files_of, save_trajector
 from trajeval_ros.io.source_names import names_with, split_name
 from trajeval_ros.io.sources import each_topic
 from trajeval_ros.io.text.hints import SideHints
-from trajeval_ros.metrics.editing import Edited, Editing, edit
+from trajeval_ros.metrics.editing import Edited, Editing, edit, reference_of
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
@@ -174,8 +174,9 @@ def trajectory(
 
         trajeval trajectory vio.txt --scale 0.001 --inverse poses --save-as tum
 
-    Operations are applied in this order: conventions, time span, merge, axes, transform on the
-    right and on the left, align, synchronise, project, motion filter, rate, number of poses.
+    Operations are applied in this order: conventions, time offset, hand-eye, time span, merge,
+    axes, transform on the right and on the left, align, synchronise, project, motion filter,
+    rate, number of poses.
     """
     if message is not None and save_as not in ("mcap", "rosbag2"):
         raise SettingsError(
@@ -199,9 +200,20 @@ def trajectory(
         )
     refuse_format(sources, "trajectory SOURCE...")
     request = request_from(settings)
-    protocol = request.protocol
+    calibration = request.calibration
+    if calibration.offset or calibration.hand_eye:
+        raise SettingsError(
+            "trajectory applies known values only; estimate them with trajeval evaluate "
+            "--time-offset auto or --hand-eye auto, and give the result"
+        )
+    offset_s = request.protocol.association.time_offset_s
+    # The trajectories are shifted, so their association has no offset.
+    association = dataclasses.replace(request.protocol.association, time_offset_s=0.0)
+    protocol = dataclasses.replace(request.protocol, association=association)
     editing = Editing(
         conventions=Conventions(scale, quaternion_order, inverse or "", axes, clock_rate),
+        time_offset_s=offset_s,
+        hand_eye=calibration.known,
         time_span=request.time_span,
         merge=merge,
         world_axes=world_axes,
@@ -209,7 +221,7 @@ def trajectory(
         right=None if transform_right is None else read_similarity(transform_right),
         left=None if transform_left is None else read_similarity(transform_left),
         align=protocol if aligns else None,
-        synchronise=protocol.association if synchronise else None,
+        synchronise=association if synchronise else None,
         plane=project,
         motion=None if motion_filter is None else parse_motion(motion_filter),
         rate_hz=rate,
@@ -252,7 +264,7 @@ def trajectory(
     paths += plots.write(
         output,
         [item.trajectory for item in edited],
-        None if reference is None else read[-1].in_order(),
+        None if reference is None else reference_of(read[-1], editing),
     )
     if not quiet:
         with may_break():
@@ -324,5 +336,5 @@ def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool
         if item.alignment is not None and item.alignment.untrustworthy:
             remarks.remark(WARNING, f"{item.trajectory.name}: {item.alignment.untrustworthy}")
     for trajectory in read:
-        for line in trajectory.reading.said(Level.ERROR):
+        for line in trajectory.reading.messages(Level.ERROR):
             remarks.remark(WARNING, f"{trajectory.name}: {line}")

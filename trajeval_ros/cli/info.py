@@ -140,7 +140,9 @@ def _details(summary: TrajectorySummary) -> list[Row]:
     """Return a single trajectory as rows of name and value."""
     if summary.problem:
         return [("problem", summary.problem)]
+    topic = summary.source.rpartition(":")[2] if "/msg/" in summary.kind else ""
     rows: list[Row] = [
+        *([("topic", topic)] if topic else []),
         ("format", summary.kind),
         *([("columns", summary.columns)] if summary.columns else []),
         ("poses", str(summary.poses)),
@@ -150,7 +152,7 @@ def _details(summary: TrajectorySummary) -> list[Row]:
         ("data", ", ".join(("position", *summary.holds))),
         ("likely role", summary.could_be),
     ]
-    return [*rows, *(("note", said) for said in summary.said)]
+    return [*rows, *(("note", text) for text in summary.messages)]
 
 
 def _times(summary: TrajectorySummary) -> list[Row]:
@@ -184,7 +186,7 @@ def _print_remarks(terminal: Console, summaries: Sequence[TrajectorySummary]) ->
     """Print the remarks that have no column in the table."""
     for summary in summaries:
         topic = summary.source.rpartition(":")[2]
-        remarks = [summary.problem] if summary.problem else list(summary.said)
+        remarks = [summary.problem] if summary.problem else list(summary.messages)
         if summary.gaps:
             remarks.append(f"gaps over 0.5 s: {_gaps(summary)}")
         for remark in remarks:

@@ -274,8 +274,8 @@ def _blocks_of_banded(
     columns = np.zeros((len(covariance.stamps) * covariance.block, transformation.orbit.shape[2]))
     columns[seen] = np.swapaxes(transformation.pull @ turn, 1, 2).reshape(len(seen), -1)
     solved = banded.solved(columns)[seen].reshape(len(rows), POSE_DOF, -1)
-    own = banded.marginals(rows * covariance.block, POSE_DOF)
-    return transformation.blocks(turn @ own @ turn.T, np.swapaxes(solved, 1, 2) @ turn.T)
+    marginals = banded.marginals(rows * covariance.block, POSE_DOF)
+    return transformation.blocks(turn @ marginals @ turn.T, np.swapaxes(solved, 1, 2) @ turn.T)
 
 
 def assess_marginals(
@@ -298,8 +298,8 @@ def assess_marginals(
         axes, aligned = IN_PLANE, dataclasses.replace(aligned, gauge=Gauge.YAW)
     # Checked first: the covariances of a single pair would look like unknown ones.
     transformation, errors = aligned.transformation(), aligned.errors()
-    own = covariances[:, axes[:, None], axes]
-    why = unknown_covariances(own) or constant_covariances(covariances)
+    pose_blocks = covariances[:, axes[:, None], axes]
+    why = unknown_covariances(pose_blocks) or constant_covariances(covariances)
     if why:
         raise InputError(f"covariances of {name} are not valid: {why}; use --covariance none")
     if len(axes) < POSE_DOF and gauge.has_so3:

@@ -146,11 +146,11 @@ def integrity_of(
             if request.alert_limit_deg is None:
                 continue
             unit, limit, factor = "deg", request.alert_limit_deg, 180.0 / math.pi
-        own = consistency.errors[judged, rows]
+        selected = consistency.errors[judged, rows]
         levels = protection_levels(consistency.covariances[judged, rows, rows], request.risk)
         if not levels.any():  # of an estimate in a plane
             continue
-        errors, levels = factor * np.linalg.norm(own, axis=1), factor * levels
+        errors, levels = factor * np.linalg.norm(selected, axis=1), factor * levels
         alerts = times_to_alert(stamps[judged], errors, levels, limit, warnings)
         parts.append(_part(name, unit, limit, errors, levels, alerts))
     return Integrity(request.risk, consistency.exactness, tuple(parts))

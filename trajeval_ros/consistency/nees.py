@@ -106,9 +106,9 @@ def _at_rows(blocks: Floats, rows: NDArray[np.int64], size: int) -> scipy.sparse
     across = np.broadcast_to(rows[:, None, :], blocks.shape)
     down = np.broadcast_to(rows[:, :, None], blocks.shape)
     entries = blocks.ravel(), (down.ravel(), across.ravel())
-    found = scipy.sparse.csr_matrix(entries, shape=(size, size))
-    found.eliminate_zeros()
-    return found
+    matrix = scipy.sparse.csr_matrix(entries, shape=(size, size))
+    matrix.eliminate_zeros()
+    return matrix
 
 
 def pose_nees(errors: Floats, covariances: Floats) -> Floats:

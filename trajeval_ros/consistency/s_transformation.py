@@ -92,16 +92,16 @@ class STransformation:
         count, _, open_ = self.orbit.shape
         return self.coefficients.reshape(open_, count, POSE_DOF).swapaxes(0, 1)
 
-    def blocks(self, own: Floats, image: Floats) -> Floats:
+    def blocks(self, diagonal: Floats, image: Floats) -> Floats:
         """Return the states' own blocks (N, 6, 6) of Q C Q'.
 
-        `own` are their blocks (N, 6, 6) or (6, 6) of C, and `image` is X C (N, k, 6) with the
+        `diagonal` are their blocks (N, 6, 6) or (6, 6) of C, and `image` is X C (N, k, 6) with the
         coefficients X.
         """
         orbit = self.orbit
         shared = np.einsum("nki,nli->kl", image, self.pull)
         cross = orbit @ image
-        blocks: Floats = own - cross - np.swapaxes(cross, 1, 2)
+        blocks: Floats = diagonal - cross - np.swapaxes(cross, 1, 2)
         blocks += orbit @ shared @ np.swapaxes(orbit, 1, 2)
         return blocks
 
@@ -228,10 +228,10 @@ def unknown_covariances(covariances: Floats) -> str:
         return "a variance is negative, which means unknown"
     if (variances >= _SENTINEL).any():
         return f"a variance is {variances.max():.3g}, which means unknown"
-    said = np.abs(covariances[1:]).max(axis=(1, 2)) > 0.0
-    if not said.any():
+    has_values = np.abs(covariances[1:]).max(axis=(1, 2)) > 0.0
+    if not has_values.any():
         return "all are zero, which means unknown"
-    if not said.all():
+    if not has_values.all():
         return "some are all zero, which means unknown"
     if not (variances[1:] > 0.0).all():
         return "some variances are zero"
@@ -302,10 +302,10 @@ def upper_bounds(covariances: Floats, transformation: STransformation) -> Floats
     moved = orbit @ of_alignment @ np.swapaxes(orbit, 1, 2)
     # Any weight is valid. This one compares both terms by coordinate, so that a pose with an exact
     # position keeps its uncertain tilt.
-    own, others = (np.diagonal(blocks, axis1=1, axis2=2) for blocks in (covariances, moved))
-    both = np.maximum(own + others, np.finfo(float).tiny)
-    own, others = (np.sqrt((np.maximum(v, 0.0) / both).sum(axis=1)) for v in (own, others))
-    weight = np.divide(own, own + others, out=np.ones(count), where=own + others > 0.0)
+    fixed, others = (np.diagonal(blocks, axis1=1, axis2=2) for blocks in (covariances, moved))
+    both = np.maximum(fixed + others, np.finfo(float).tiny)
+    fixed, others = (np.sqrt((np.maximum(v, 0.0) / both).sum(axis=1)) for v in (fixed, others))
+    weight = np.divide(fixed, fixed + others, out=np.ones(count), where=fixed + others > 0.0)
     weight = weight[:, None, None]
     # If one term is zero, the other has all the weight.
     bound: Floats = np.divide(covariances, weight, out=np.zeros_like(moved), where=weight > 0.0)

@@ -40,18 +40,18 @@ class JointPosterior:
     @classmethod
     def of(cls, process: Process, times: Floats) -> JointPosterior:
         """Add knots for times (Q,), seconds, within those of the process."""
-        own = process.times
+        knots = process.times
         union, place = np.unique(
-            np.concatenate([own, _knots(own, times, process.order)]), return_inverse=True
+            np.concatenate([knots, _knots(knots, times, process.order)]), return_inverse=True
         )
-        samples, rows = place[: len(own)], place[len(own) :]
+        samples, rows = place[: len(knots)], place[len(knots) :]
         states, _ = process.interpolator().at(union)
         measured, information = states.copy(), np.zeros((len(union), process.dimension))
         measured[samples], information[samples] = process.measured, process.information
-        columns = process.rates.reshape(len(own), -1).T
+        columns = process.rates.reshape(len(knots), -1).T
         rates = np.empty((len(union), len(columns)))
         for axis, column in enumerate(columns):
-            rates[:, axis] = np.interp(union, own, column)
+            rates[:, axis] = np.interp(union, knots, column)
         dense = replace(
             process,
             times=union,
@@ -84,18 +84,18 @@ class JointPosterior:
         return ObservedPosterior(both, self.rows, self.by_knot, inverse, determinant)
 
 
-def _knots(own: Floats, times: Floats, order: int) -> Floats:
+def _knots(samples: Floats, times: Floats, order: int) -> Floats:
     """Return times (Q,) of the knots of queries (Q,) between samples (N,).
 
     The knot is at the query itself. If another query or sample is closer than a cell, the knots of
     both are on a grid of cells between the samples.
     """
-    steps = np.diff(own)
+    steps = np.diff(samples)
     most = _SAME_SHARE ** (-1.0 / (2 * order - 1))
     cells = np.maximum(np.floor(most * np.minimum(steps / np.median(steps), 1.0)), 1.0)
-    begin = np.clip(np.searchsorted(own, times) - 1, 0, len(steps) - 1)
-    start, end, count = own[begin], own[begin + 1], cells[begin]
-    everything = np.unique(np.concatenate([own, times]))
+    begin = np.clip(np.searchsorted(samples, times) - 1, 0, len(steps) - 1)
+    start, end, count = samples[begin], samples[begin + 1], cells[begin]
+    everything = np.unique(np.concatenate([samples, times]))
     apart = np.concatenate([[np.inf], np.diff(everything), [np.inf]])
     place = np.searchsorted(everything, times)
     is_close = np.minimum(apart[place], apart[place + 1]) < (end - start) / count

@@ -242,7 +242,7 @@ class Interpolator:
     """A process with the covariances of its knots."""
 
     process: Process  # the process at its mode
-    own: Floats  # (N, d m, d m), covariances of the knots
+    marginals: Floats  # (N, d m, d m), covariances of the knots
     beside: Floats  # (N - 1, d m, d m), covariances between consecutive knots
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
@@ -273,7 +273,9 @@ class Interpolator:
         a = np.einsum("qm,qmijk->qijk", by_first, first.jacobian).reshape(shape)
         b = np.einsum("qm,qmijk->qijk", by_second, ahead).reshape(shape)
         mixed = a @ self.beside[knot] @ se3.transposed(b)
-        covariance = se3.congruent(a, self.own[knot]) + se3.congruent(b, self.own[knot + 1])
+        covariance = se3.congruent(a, self.marginals[knot]) + se3.congruent(
+            b, self.marginals[knot + 1]
+        )
         covariance += mixed + se3.transposed(mixed)
         covariance += spread[:, None, None] * np.diag(process.density)
         carried = np.linalg.inv(manifold.inverse_jacobians(variable)[0])

@@ -183,8 +183,8 @@ class TwoScaleGP:
         in_gap = np.isin(before, self.gaps)
         inside = np.flatnonzero(in_gap | self.short[before])
         weight = self._weight(before[inside], times[inside], in_gap[inside])
-        own = Belief(belief.poses[inside], belief.covariances[inside])
-        mixed = blended(own, self.coarse.at(times[inside]), weight)
+        fine = Belief(belief.poses[inside], belief.covariances[inside])
+        mixed = blended(fine, self.coarse.at(times[inside]), weight)
         belief.poses[inside], belief.covariances[inside] = mixed.poses, mixed.covariances
         return belief
 

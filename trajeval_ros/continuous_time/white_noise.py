@@ -49,9 +49,9 @@ def interpolation(order: int, step: Floats, since: Floats) -> tuple[Floats, Floa
     and Psi (Q, m), with g = Lambda z_0 + Psi z_1, and the variance (Q,) of g for unit density.
     """
     remaining = transition(order, step - since)
-    own = covariance(order, since)
-    psi: Floats = own @ remaining.swapaxes(1, 2) @ information(order, step)
-    spread = (own - psi @ remaining @ own)[:, 0, 0]
+    before = covariance(order, since)
+    psi: Floats = before @ remaining.swapaxes(1, 2) @ information(order, step)
+    spread = (before - psi @ remaining @ before)[:, 0, 0]
     weights = transition(order, since) - psi @ transition(order, step)
     return weights[:, 0], psi[:, 0], np.maximum(spread, 0.0)
 

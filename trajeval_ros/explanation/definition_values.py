@@ -81,7 +81,7 @@ def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Pai
     """Return the distinct sets of pairs."""
     if groundtruth.reading.fixes is not None:
         raise InputError("the groundtruth has GNSS fixes; explain needs poses, as of text files")
-    found: dict[tuple[object, ...], Paired] = {}
+    paired: dict[tuple[object, ...], Paired] = {}
     both, refusal = (groundtruth.reading, estimate.reading), None
     stamped = all(item.stamped for item in both)
     framed = all(item.frame_numbers is not None or not item.stamped for item in both)
@@ -100,10 +100,10 @@ def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Pai
         key = (name == EXCHANGED, sides[0].path_length_m, *columns)
         read = pairs.groundtruth.reading, pairs.estimate.reading
         has_matrices = all(item.matrices is not None for item in read)
-        found.setdefault(key, Paired({}, pairs, *sides)).names[name] = has_matrices
-    if not found and refusal is not None:
+        paired.setdefault(key, Paired({}, pairs, *sides)).names[name] = has_matrices
+    if not paired and refusal is not None:
         raise refusal
-    return found.values()
+    return paired.values()
 
 
 def _values_of_pairs(paired: Paired) -> Iterator[Value]:
@@ -128,7 +128,7 @@ def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evalu
     aligning, pairs = ALIGNMENTS[name], paired.pairs
     groundtruth, estimate = pairs.groundtruth, pairs.estimate
     if protocol.is_upright:
-        require_up_axis(groundtruth, protocol.gauge)
+        require_up_axis(groundtruth, estimate, protocol.gauge)
         groundtruth, estimate = upright(groundtruth), upright(estimate)
     if aligning.scaled_by:
         scale = before[aligning.scaled_by].similarity.scale
@@ -149,9 +149,9 @@ def _absolute(evaluation: Evaluation, name: str, path_m: float) -> Iterator[Valu
     last_m = float(evaluation.absolute.position_m[-1])
     factors = {PER_AXIS: math.sqrt(1.0 / 3.0), PER_PATH: 100.0 / path_m}
     for (metric, form), (statistics, alignments, _) in ABSOLUTE.items():
-        found = evaluation.ate.get(metric)
-        for statistic in statistics if found and name in alignments else ():
-            value = last_m if statistic == LAST else getattr(found, statistic)
+        errors = evaluation.ate.get(metric)
+        for statistic in statistics if errors and name in alignments else ():
+            value = last_m if statistic == LAST else getattr(errors, statistic)
             rest = (name, metric, statistic, form, "", "")
             yield rest, factors.get(form, 1.0) * value, withheld and not metric.endswith("_m")
 
@@ -166,8 +166,8 @@ def _relative(paired: Paired, alignment: Alignment, name: str, family: str) -> I
     except TrajevalError:  # pairs that are not in order have no lengths in seconds
         return
     drift = dict.fromkeys(pooled, searched.pooled)
-    found = [(str(part.length), part.statistics, searched.metrics) for part in parts or ()]
-    for length, statistics, names in (*found, (POOLED, pooled, drift)):
+    by_length = [(str(part.length), part.statistics, searched.metrics) for part in parts or ()]
+    for length, statistics, names in (*by_length, (POOLED, pooled, drift)):
         for metric, chosen in names.items():
             # Rotation errors do not depend on the scale.
             values = statistics[metric] if name == "se3" or "position" in metric else None

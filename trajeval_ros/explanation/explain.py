@@ -186,15 +186,20 @@ class _Candidates:
 
     def __init__(self, tables: Sequence[tuple[dict[Definition, int], list[float]]]) -> None:
         # Definitions with equal pairs in all runs count once.
-        found: dict[tuple[int, ...], list[Definition]] = {}
+        groups_of_values: dict[tuple[int, ...], list[Definition]] = {}
         for definition in tables[0][0]:
             if all(definition in places for places, _ in tables):
                 key = tuple(places[definition] for places, _ in tables)
-                found.setdefault(key, []).append(definition)
-        self.names = [sorted(item, key=lambda one: -one.prior) for item in found.values()]
+                groups_of_values.setdefault(key, []).append(definition)
+        self.names = [
+            sorted(item, key=lambda one: -one.prior) for item in groups_of_values.values()
+        ]
         self.first = [name[0] for name in self.names]
         self.values: Floats = np.array(
-            [[values[key[run]] for key in found] for run, (_, values) in enumerate(tables)]
+            [
+                [values[key[run]] for key in groups_of_values]
+                for run, (_, values) in enumerate(tables)
+            ]
         )  # (R, K), of the runs whose numbers are compared
         self.shown = self.values  # of all runs
         self.priors = np.array([item.prior for item in self.first])
@@ -307,5 +312,5 @@ def _grouped(candidates: _Candidates, rows: Indices, shares: Floats) -> tuple[Ma
             groups.append([place])
         else:
             group.append(place)
-    found = [candidates.match(rows[item], float(shares[item].sum())) for item in groups]
-    return tuple(sorted(found, key=lambda item: -item.probability))
+    matches = [candidates.match(rows[item], float(shares[item].sum())) for item in groups]
+    return tuple(sorted(matches, key=lambda item: -item.probability))

@@ -47,7 +47,7 @@ def without_secrets(text: str) -> str:
     """Return a sentence without the users, passwords and tokens of its URLs."""
     words = (_USER.sub(r"\1…@", word) for word in text.split(" "))
     return " ".join(
-        word[: found.end()] + "…" if ":/" in word and (found := SECRET.search(word)) else word
+        word[: secret.end()] + "…" if ":/" in word and (secret := SECRET.search(word)) else word
         for word in words
     )
 

@@ -41,11 +41,11 @@ def require_shape(array: Any, what: str, *shapes: tuple[int | None, ...]) -> Non
     """
     for shape in shapes:
         if len(shape) == array.ndim and all(
-            wanted in (None, found) for wanted, found in zip(shape, array.shape, strict=True)
+            required in (None, length) for required, length in zip(shape, array.shape, strict=True)
         ):
             return
-    expected = " or ".join(map(str, shapes)).replace("None", "N")
-    raise InputError(f"{what} have shape {array.shape}, expected {expected}")
+    required = " or ".join(map(str, shapes)).replace("None", "N")
+    raise InputError(f"{what} have shape {array.shape}, expected {required}")
 
 
 def stamps_of(seconds: ArrayLike | None, stamps: ArrayLike | None, count: int) -> Stamps | None:
@@ -68,14 +68,14 @@ def stamps_of(seconds: ArrayLike | None, stamps: ArrayLike | None, count: int) -
                 f"timestamps of stamps= must be integer nanoseconds, not {given.dtype}; give "
                 "times in seconds as seconds="
             )
-        found: Stamps = given.astype(np.int64)
-        whole_ns = int(np.ptp(found)) if count else 0
+        as_integers: Stamps = given.astype(np.int64)
+        whole_ns = int(np.ptp(as_integers)) if count else 0
         if whole_ns < (count - 1) * _LEAST_STEP_NS:
             raise InputError(
                 f"stamps= has {count} values within {whole_ns} ns, which are probably not "
                 "nanoseconds; give times in seconds as seconds="
             )
-        return found
+        return as_integers
     times = numbers(seconds, "seconds") if seconds is not None else np.zeros(0)
     require_shape(times, "seconds", (count,))
     if not np.isfinite(times).all():

@@ -51,12 +51,12 @@ class Factor:
         if not (entries > 0.0).all():
             raise np.linalg.LinAlgError("a diagonal entry is not positive")
         scale = 1.0 / np.sqrt(entries)
-        columns, own = band.reshape(-1, width), scale.reshape(-1, 1)
-        rows = sliding_window_view(np.pad(own[:, 0], (0, width - 1)), width)
+        columns, scales = band.reshape(-1, width), scale.reshape(-1, 1)
+        rows = sliding_window_view(np.pad(scales[:, 0], (0, width - 1)), width)
         for start in range(0, len(columns), width * AT_ONCE):
             part = slice(start, start + width * AT_ONCE)
             columns[part] *= rows[part]
-            columns[part] *= own[part]
+            columns[part] *= scales[part]
         return cls(cholesky_banded(columns.T, lower=True, overwrite_ab=True), scale)
 
     @property
@@ -97,12 +97,12 @@ class Factor:
             rows = slice(start, start + few)
             diagonal, lower = _blocks(self.band.T.reshape(count, size, -1)[rows])
             inverted = np.linalg.inv(diagonal)
-            own, gain = np.swapaxes(inverted, 1, 2) @ inverted, lower @ inverted
-            for k in reversed(range(len(own))):
+            inverse, gain = np.swapaxes(inverted, 1, 2) @ inverted, lower @ inverted
+            for k in reversed(range(len(inverse))):
                 across = gain[k].T @ after
-                own[k] += across @ gain[k]
-                after, beside[start + k] = own[k], -across
-            blocks[rows] = own * self.scale[rows, :, None] * self.scale[rows, None, :]
+                inverse[k] += across @ gain[k]
+                after, beside[start + k] = inverse[k], -across
+            blocks[rows] = inverse * self.scale[rows, :, None] * self.scale[rows, None, :]
         beside[:-1] *= self.scale[:-1, :, None]
         beside[:-1] *= self.scale[1:, None, :]
         return blocks, beside[:-1]
@@ -172,14 +172,14 @@ class BandedGaussian:
 
         A block can extend over two blocks of the factor.
         """
-        own, beside = self._factor.inverse_blocks()
-        blocks, length = np.empty((len(starts), size, size)), own.shape[1]
+        diagonal, beside = self._factor.inverse_blocks()
+        blocks, length = np.empty((len(starts), size, size)), diagonal.shape[1]
         for block, start in zip(blocks, starts.tolist(), strict=True):
             first, at = divmod(start, length)
-            joint = own[first]
+            joint = diagonal[first]
             if at + size > length:
                 across = beside[first]
-                joint = np.block([[joint, across], [across.T, own[first + 1]]])
+                joint = np.block([[joint, across], [across.T, diagonal[first + 1]]])
             block[:] = joint[at : at + size, at : at + size]
         return blocks
 

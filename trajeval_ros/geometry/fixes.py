@@ -95,15 +95,15 @@ class Fixes:
 def quality_of(fixes: Fixes) -> str:
     """Summarise status and covariances: "989 of status 1; standard deviation ..."."""
     counts = zip(*np.unique(fixes.status, return_counts=True), strict=True)
-    said = ", ".join(f"{count} of status {status}" for status, count in counts)
+    statuses = ", ".join(f"{count} of status {status}" for status, count in counts)
     known = fixes.known
     if not known.any():
-        return f"{said}; covariance unknown"
+        return f"{statuses}; covariance unknown"
     level, up = fixes.sigma_level_m[known], fixes.sigma_up_m[known]
     kinds = np.unique(fixes.covariance_types[known]).tolist()
     names = " and ".join(_COVARIANCE_TYPES.get(kind, f"type {kind}") for kind in kinds)
     some = "" if known.all() else f" of {np.count_nonzero(known)} of them"
     return (
-        f"{said}; standard deviation{some} {level.min():.3g} to {level.max():.3g} m horizontal, "
-        f"{up.min():.3g} to {up.max():.3g} m vertical, covariance {names}"
+        f"{statuses}; standard deviation{some} {level.min():.3g} to {level.max():.3g} m "
+        f"horizontal, {up.min():.3g} to {up.max():.3g} m vertical, covariance {names}"
     )

@@ -66,7 +66,7 @@ def upright(trajectory: Trajectory) -> Trajectory:
     if reading.matrices is not None:
         reading = dataclasses.replace(reading, matrices=turn @ reading.matrices)
     axes = ", ".join("xyz"[axis] for axis in up.level)
-    said = (
+    sentence = (
         f"vertical axis {up.name} ({up.origin}): evaluated in a frame with the axes {axes}, "
         f"{up.name}"
     )
@@ -79,7 +79,7 @@ def upright(trajectory: Trajectory) -> Trajectory:
         velocities=None if velocities is None else up.turned(velocities),
         covariances=None if covariances is None else both @ covariances @ both.T,
         up=UpAxis("z", f"{ROTATED_FROM}{up.name}, {up.origin}"),
-        reading=reading.remarked(note("z_up", said)),
+        reading=reading.remarked(note("z_up", sentence)),
     )
 
 

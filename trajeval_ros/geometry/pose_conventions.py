@@ -93,8 +93,8 @@ def mirrored_quaternions(quaternions: Floats, axes: Floats) -> Floats:
     return turned
 
 
-def _corrected(reading: SourceInfo, said: str) -> SourceInfo:
-    return reading.remarked(note("corrected", said))
+def _corrected(reading: SourceInfo, sentence: str) -> SourceInfo:
+    return reading.remarked(note("corrected", sentence))
 
 
 def _scaled(trajectory: Trajectory, scale: float) -> Trajectory:

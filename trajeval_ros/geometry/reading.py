@@ -76,8 +76,8 @@ class SourceInfo:
     @property
     def format(self) -> str:
         """The format of the source; "" if unknown."""
-        found = (remark.text for remark in self.remarks if remark.code in FORMATS)
-        return next(found, "").removeprefix("format: ")
+        formats = (remark.text for remark in self.remarks if remark.code in FORMATS)
+        return next(formats, "").removeprefix("format: ")
 
     def require_rows(self, count: int) -> None:
         """Check that the data by row are of `count` states.
@@ -119,7 +119,7 @@ class SourceInfo:
         """Return the reading with further dropped rows, by reason."""
         return dataclasses.replace(self, dropped=add_counts(self.dropped, counts))
 
-    def said(self, level: Level) -> tuple[str, ...]:
+    def messages(self, level: Level) -> tuple[str, ...]:
         """Return the sentences of the remarks of a level."""
         return tuple(remark.text for remark in self.remarks if remark.level is level)
 

@@ -37,14 +37,14 @@ class ReceiveTimes:
         return at_rows(self, ("times", "body_rates", "corrected"), rows)
 
     @classmethod
-    def of_bag(cls, logged: Stamps, published: Stamps, wanted: str = "") -> ReceiveTimes:
+    def of_bag(cls, logged: Stamps, published: Stamps, clock: str = "") -> ReceiveTimes:
         """Return the publish times where they differ from the log times, or the wanted ones.
 
         A recorder that is late delays its log times only. `logged`, `published`: (N,),
-        nanoseconds. `wanted`: `LOG`, `PUBLISH`, or empty for the default.
+        nanoseconds. `clock`: `LOG`, `PUBLISH`, or empty for the default.
         """
         differs = bool((published != logged).any() and (published > 0).all())
-        if not differs or wanted == LOG:
+        if not differs or clock == LOG:
             return cls(logged, LOG)
         later_s = (logged - published) / 1e9
         recording_s = float(np.median(later_s)), float(later_s.max())

@@ -101,7 +101,7 @@ class OutlierStamps:
         self.farthest_ns = max(self.farthest_ns, off_ns)
 
     @property
-    def said(self) -> str:
+    def message(self) -> str:
         """The sentence about the dropped states; empty if there are none."""
         if not self.lone:
             return ""

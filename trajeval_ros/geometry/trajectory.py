@@ -258,9 +258,9 @@ class Trajectory:
         ]
         if not bad:
             return self
-        said = f"{' and '.join(bad).replace('_', ' ')} dropped: some values are not finite"
+        sentence = f"{' and '.join(bad).replace('_', ' ')} dropped: some values are not finite"
         columns: dict[str, Any] = dict.fromkeys(bad)
-        reading = self.reading.remarked(note("column_dropped", said))
+        reading = self.reading.remarked(note("column_dropped", sentence))
         return dataclasses.replace(self, **columns, reading=reading)
 
     def __len__(self) -> int:
@@ -344,19 +344,19 @@ class Trajectory:
         backwards = int(np.count_nonzero(steps < 0))
         remarks = []
         if backwards:
-            said = (
+            sentence = (
                 f"timestamps step back at {counted(backwards, 'place')}; the poses were sorted by "
                 "timestamp"
             )
-            remarks.append(note("sorted", said))
+            remarks.append(note("sorted", sentence))
         if conflicts.number:
-            said = (
+            sentence = (
                 f"{self.name or 'the trajectory'} has "
                 f"{counted(conflicts.number, 'repeated timestamp')} (of {duplicates}) with "
                 f"different positions, up to {conflicts.largest_m:.3g} m apart; the first pose of "
                 "a timestamp is used, remove the wrong rows"
             )
-            remarks.append(warning("conflicting_states", said))
+            remarks.append(warning("conflicting_states", sentence))
         ordered = self[order[first]]
         reading = ordered.reading.with_dropped({"duplicate_stamp": duplicates})
         return dataclasses.replace(ordered, reading=reading.remarked(*remarks))

@@ -111,11 +111,11 @@ def _seconds(stamp: int) -> str:
 _FIRST_LOOK = 16  # states that are compared at once
 
 
-def evenly(count: int, wanted: int) -> Indices:
-    """Return `wanted` of `count` rows, evenly spread, including the first and the last."""
-    if wanted >= count:
+def evenly(count: int, selected: int) -> Indices:
+    """Return `selected` of `count` rows, evenly spread, including the first and the last."""
+    if selected >= count:
         return np.arange(count)
-    return np.round(np.linspace(0, count - 1, wanted)).astype(np.int64)
+    return np.round(np.linspace(0, count - 1, selected)).astype(np.int64)
 
 
 def every_nth(count: int, most: int) -> slice:

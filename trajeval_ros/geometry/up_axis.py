@@ -49,8 +49,8 @@ class UpAxis:
     def applied(self) -> Floats:
         """The rotation (3, 3) from the frame that was read to this one with z up."""
         is_rotated = self.origin.startswith(ROTATED_FROM)
-        own = self.origin.removeprefix(ROTATED_FROM).partition(",")[0]
-        return UpAxis(own if is_rotated else "z").matrix
+        axis = self.origin.removeprefix(ROTATED_FROM).partition(",")[0]
+        return UpAxis(axis if is_rotated else "z").matrix
 
     @property
     def index(self) -> int:

@@ -25,8 +25,11 @@ _FEWEST = 20
 _ENOUGH = 2000  # states
 
 
-def up_axis_doubt(trajectory: Trajectory) -> str:
-    """Return why the up axis is wrong; "" if it is possible, or was given."""
+def up_axis_doubt(trajectory: Trajectory, estimate: Trajectory | None = None) -> str:
+    """Return why the up axis is wrong; "" if it is possible, or was given.
+
+    `estimate`: the other side, which keeps its up axis in the advice if it rotates about it.
+    """
     if trajectory.up.is_given:
         return ""
     if is_earth_centred(trajectory.positions):
@@ -46,11 +49,20 @@ def up_axis_doubt(trajectory: Trajectory) -> str:
             "vertical axis"
         )
     else:
-        what = f"the {name} axis; set --up=-{name} or --up={name}"
+        kept = "" if estimate is None or not _turns_about_up(estimate) else estimate.up.name
+        choices = (f"{name},{kept}", f"-{name},{kept}") if kept else (f"-{name}", name)
+        what = f"the {name} axis; set --up={choices[0]} or --up={choices[1]}"
     return (
         f"{trajectory.up} is probably not the vertical axis of the groundtruth's frame: the body "
         f"turns about {what}; to keep it, set --up={trajectory.up.name}"
     )
+
+
+def _turns_about_up(trajectory: Trajectory) -> bool:
+    if trajectory.quaternions is None:
+        return False
+    axis = vertical_axis_of(trajectory.positions, trajectory.quaternions)
+    return axis is not None and _degrees(abs(axis @ trajectory.up.matrix[2])) < _NEAR_DEG
 
 
 def vertical_axis_of(positions: Floats, quaternions: Floats) -> Floats | None:
@@ -79,11 +91,12 @@ def vertical_axis_of(positions: Floats, quaternions: Floats) -> Floats | None:
     return np.asarray(axes[:, 0])
 
 
-def require_up_axis(groundtruth: Trajectory, gauge: Gauge) -> None:
+def require_up_axis(groundtruth: Trajectory, estimate: Trajectory, gauge: Gauge) -> None:
     """Refuse gauges yaw and planar if the groundtruth rotates about another axis than up."""
-    doubt = up_axis_doubt(groundtruth) if gauge.turns_about_gravity_only else ""
+    doubt = up_axis_doubt(groundtruth, estimate) if gauge.turns_about_gravity_only else ""
     if doubt:
-        raise InputError(f"gauge {gauge.value} needs the vertical axis, but {doubt}")
+        advice = "" if "--up" in doubt else "; use --gauge se3, or a local frame with z up"
+        raise InputError(f"gauge {gauge.value} needs the vertical axis, but {doubt}{advice}")
 
 
 def nearest_axis(direction: Floats) -> str:

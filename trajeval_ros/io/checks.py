@@ -18,9 +18,9 @@ _EPOCH = 10**17  # ns; larger timestamps count from 1970, where zero means "not 
 _MOST_NAMES = 12  # listed in a message
 
 
-def nearest(wanted: str, names: Collection[str]) -> str:
-    """Return up to `_MOST_NAMES` existing names as text, the most similar to `wanted` first."""
-    near = difflib.get_close_matches(wanted, sorted(names), n=_MOST_NAMES, cutoff=0.0)
+def nearest(name: str, names: Collection[str]) -> str:
+    """Return up to `_MOST_NAMES` existing names as text, the most similar to `name` first."""
+    near = difflib.get_close_matches(name, sorted(names), n=_MOST_NAMES, cutoff=0.0)
     more = f" and {len(names) - len(near)} more" if len(names) > len(near) else ""
     return ", ".join(near) + more if near else "none"
 

@@ -48,7 +48,7 @@ class TrajectorySummary:
     remarks: tuple[Remark, ...] = ()
 
     @property
-    def said(self) -> tuple[str, ...]:
+    def messages(self) -> tuple[str, ...]:
         """The sentences of the remarks, except the format."""
         return tuple(remark.text for remark in self.remarks if remark.code not in FORMATS)
 
@@ -82,22 +82,28 @@ class Description:
 
 
 def describe(
-    source: str, *, advance: Advance | None = None, hints: TextHints = NO_HINTS
+    source: str,
+    *,
+    advance: Advance | None = None,
+    hints: TextHints = NO_HINTS,
+    read: dict[str, Trajectory] | None = None,
 ) -> Description:
     """Return the contents of a SOURCE; for a bag without a topic, of all its topics.
 
     `advance`: progress callback, called with the amount done and the total. `hints`: columns and
-    frame rate of a text file, as the user states them.
+    frame rate of a text file, as the user states them. `read`: receives the trajectories of a bag
+    or file by their SOURCE.
     """
+    read = {} if read is None else read
     parts = parse_source(source)
     if parts.is_bag and not parts.topic:
         try:
-            return _describe_bag(source, parts.path, advance)
+            return _describe_bag(source, parts.path, advance, read)
         except OSError as error:
             raise InputError(f"{parts.path} can't be read: {reason_of(error)}") from error
     if parts.is_log and not parts.topic:
         return _describe_log(source, parts.path)
-    trajectory = read_trajectory(source, advance=advance, hints=hints)
+    read[source] = trajectory = read_trajectory(source, advance=advance, hints=hints)
     return Description(parts.path, (summarize(source, trajectory),))
 
 
@@ -106,18 +112,20 @@ def _describe_log(source: str, path: Path) -> Description:
     from trajeval_ros.io.ulog import PoseLog
 
     log = PoseLog(path)
-    found = []
+    topics = []
     for topic in log.topics:
         name = f"{source}:{topic}"
         try:
-            found.append(summarize(name, log.trajectory(topic)))
+            topics.append(summarize(name, log.trajectory(topic)))
         except InputError as error:
-            found.append(TrajectorySummary(name, "ULog", log.count(topic), problem=str(error)))
-    return Description(path, tuple(found), remarks=tuple(log.remarks))
+            topics.append(TrajectorySummary(name, "ULog", log.count(topic), problem=str(error)))
+    return Description(path, tuple(topics), remarks=tuple(log.remarks))
 
 
-def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
-    """Return the contents of all topics of a bag."""
+def _describe_bag(
+    source: str, path: Path, advance: Advance | None, read: dict[str, Trajectory]
+) -> Description:
+    """Return the contents of all topics of a bag, and put its trajectories into `read`."""
     from trajeval_ros.io.bags.bag import Bag
     from trajeval_ros.io.bags.nested_poses import nested_poses
     from trajeval_ros.io.bags.topic_readers import (
@@ -145,14 +153,17 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
             name = f"{source}:{topic.name}"
             if topic in posed:
                 try:
-                    trajectories.append(summarize(name, trajectory_of(bag, posed[topic])))
+                    read[name] = trajectory_of(bag, posed[topic])
+                    trajectories.append(summarize(name, read[name]))
                 except InputError as error:
                     trajectories.append(
                         TrajectorySummary(name, topic.type, topic.count, problem=str(error))
                     )
             elif topic.holds_transforms and not topic.name.endswith("_static"):
-                own = tree_of(turned[tree_topic] for tree_topic in tree_topics(bag, topic.name))
-                for key, edge in own.items():
+                tree_edges = tree_of(
+                    turned[tree_topic] for tree_topic in tree_topics(bag, topic.name)
+                )
+                for key, edge in tree_edges.items():
                     rate_hz, count = _rate_hz(edge.stamps), len(edge.stamps)
                     edges[(topic.name, *key)] = EdgeSummary(
                         topic.name, *key, edge.is_static, count, rate_hz
@@ -218,7 +229,11 @@ def _could_be(source: str, trajectory: Trajectory) -> str:
     """Return the likely role, from the name and from quantities that only estimators output."""
     if trajectory.reading.fixes is not None:
         return "groundtruth"
-    if is_named_groundtruth(source) or is_named_groundtruth(trajectory.frame):
+    # A topic, or a file and its folder. The path of a bag is not a name of its topics.
+    _, colon, topic = source.rpartition(":/")
+    is_topic = colon and not topic.startswith("/")
+    name = topic if is_topic else "/".join(source.split("/")[-2:])
+    if is_named_groundtruth(name) or is_named_groundtruth(trajectory.frame):
         return "groundtruth"
     if trajectory.covariances is not None or (
         trajectory.velocities is not None and trajectory.gyroscope_biases is None

@@ -52,10 +52,10 @@ def find_sources(
             left_out.append(f"files after the first {_MOST_FILES}")
             break
         candidates.append(path)
-    found: list[FoundSource] = []
+    sources: list[FoundSource] = []
     others = 0
     for place, path in enumerate(sorted(candidates)):
-        if len(found) == MOST:
+        if len(sources) == MOST:
             left_out.append(f"{len(candidates) - place} files after the first {MOST} sources")
             break
         source = _recognised(path)
@@ -63,8 +63,8 @@ def find_sources(
         if source is None:
             others += 1
         else:
-            found.append(source)
-    return FolderContents(tuple(found), others, tuple(left_out))
+            sources.append(source)
+    return FolderContents(tuple(sources), others, tuple(left_out))
 
 
 def _walk(folder: Path, left_out: list[str]) -> Iterator[Path]:

@@ -88,11 +88,11 @@ def _mapping(value: Any, where: str) -> dict[str, Any]:
 
 
 def _numbers(value: Any, names: str, where: str) -> Any:
-    found = _mapping(value, where)
-    require_known(found, names, where)
+    values = _mapping(value, where)
+    require_known(values, names, where)
     numbers: list[float] = []
     for name in names:
-        number = found.get(name)
+        number = values.get(name)
         if isinstance(number, (int, float)) and abs(number) <= LARGEST:
             numbers.append(float(number))
         else:

@@ -31,10 +31,10 @@ def mapping_in(text: str | bytes) -> dict[str, Any] | None:
     A text with a NaN, or with a number beyond int64 or float64, counts as damaged.
     """
     try:
-        found = json.loads(text, parse_float=_float, parse_constant=_float, parse_int=_integer)
+        content = json.loads(text, parse_float=_float, parse_constant=_float, parse_int=_integer)
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return content if isinstance(content, dict) else None
 
 
 def _float(digits: str) -> float:
@@ -49,14 +49,14 @@ def _integer(digits: str) -> int:
     return number
 
 
-def require_schema(path: Path, found: object, known: str, what: str, advice: str) -> None:
+def require_schema(path: Path, schema: object, known: str, what: str, advice: str) -> None:
     """Check that a file has the supported schema."""
-    if found == known:
+    if schema == known:
         return
     family = known.rpartition("/")[0]
-    if isinstance(found, str) and found.startswith(f"{family}/"):
+    if isinstance(schema, str) and schema.startswith(f"{family}/"):
         raise InputError(
-            f"{path} has schema {found}, and this version reads {known}; {advice}, or use the "
+            f"{path} has schema {schema}, and this version reads {known}; {advice}, or use the "
             "version that wrote it"
         )
     raise InputError(f"{path} is not a {what} ({known}); {advice}")

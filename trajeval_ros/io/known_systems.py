@@ -22,9 +22,9 @@ class KnownSystem(NamedTuple):
 
     def matches(self, topic: str, frame: str, child: str) -> bool:
         """Return whether a topic can be of this system."""
-        found = zip(self.frames, (frame, child), strict=True)
+        pairs = zip(self.frames, (frame, child), strict=True)
         return re.search(rf"(^|/){self.topic}$", topic) is not None and all(
-            own is None or own == other for own, other in found
+            expected is None or expected == other for expected, other in pairs
         )
 
 

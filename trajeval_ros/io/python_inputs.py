@@ -89,8 +89,10 @@ def run(groundtruth: Given, estimates: Sequence[Given], request: Request | None 
     """
     if not isinstance(estimates, list | tuple):
         raise InputError(f"the estimates are of type {type(estimates).__name__}; give a list")
-    found = [_trajectory(estimate, f"estimate {row}") for row, estimate in enumerate(estimates, 1)]
-    return pipeline.run(_trajectory(groundtruth, "groundtruth"), found, request)
+    inputs = [
+        _trajectory(estimate, f"estimate {row}") for row, estimate in enumerate(estimates, 1)
+    ]
+    return pipeline.run(_trajectory(groundtruth, "groundtruth"), inputs, request)
 
 
 def _trajectory(given: object, what: str) -> Trajectory:

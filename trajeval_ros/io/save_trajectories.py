@@ -87,10 +87,10 @@ def _topics(trajectories: Sequence[Trajectory]) -> list[str]:
     topics are made from the names.
     """
     sources = [trajectory.reading.source.rpartition(":")[2] for trajectory in trajectories]
-    own = all(source.startswith("/") and "." not in source for source in sources)
+    are_topics = all(source.startswith("/") and "." not in source for source in sources)
     names = (
         sources
-        if own and len(set(sources)) == len(sources)
+        if are_topics and len(set(sources)) == len(sources)
         else [trajectory.name for trajectory in trajectories]
     )
     words = [_NO_TOPIC.sub("_", name).strip("/") or "trajectory" for name in names]

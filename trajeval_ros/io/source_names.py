@@ -35,11 +35,13 @@ def names_with(given: Sequence[str], sources: Sequence[str]) -> list[str]:
     Raises:
         SettingsError: Two sources have the same name.
     """
-    short = iter(names_of([source for own, source in zip(given, sources, strict=True) if not own]))
-    names = [own or next(short) for own in given]
-    for own in filter(None, given):
-        if names.count(own) > 1:
-            raise SettingsError(f"two sources have the name {own!r}; give different names")
+    short = iter(
+        names_of([source for name, source in zip(given, sources, strict=True) if not name])
+    )
+    names = [name or next(short) for name in given]
+    for name in filter(None, given):
+        if names.count(name) > 1:
+            raise SettingsError(f"two sources have the name {name!r}; give different names")
     return names
 
 

@@ -172,7 +172,7 @@ def read_many(
         files.setdefault(name, []).append(number)
     read: dict[int, Trajectory] = {}
     for done, numbers in enumerate(files.values()):
-        first, own = parsed[numbers[0]], _part_of(advance, done, len(files))
+        first, part_advance = parsed[numbers[0]], _part_of(advance, done, len(files))
         with _naming(first.path):
             if first.is_pipe and len(numbers) > 1:
                 raise InputError("a pipe can be read only once; use it for one source")
@@ -188,25 +188,25 @@ def read_many(
                 with _local_file(first.path) as file:
                     if first.is_pipe and _begins_as_bag(file, _beginning_of(file)):
                         raise InputError("a bag can't be read from a pipe; give the file")
-                    text = read_text(file, own, known[numbers[0]], beside=first.path)
+                    text = read_text(file, part_advance, known[numbers[0]], beside=first.path)
                 read |= dict.fromkeys(numbers, text)
                 continue
             from trajeval_ros.io.bags.topics import BagSource, read_bag
 
-            wanted = [
+            requested = [
                 BagSource(parsed[item].topic, parsed[item].frames, flags[item], received)
                 for item in numbers
             ]
-            trajectories = read_bag(first.path, wanted, own, strict=strict)
+            trajectories = read_bag(first.path, requested, part_advance, strict=strict)
             read |= zip(numbers, trajectories, strict=True)
-    found = []
+    trajectories_read = []
     for number, source in enumerate(sources):
         reading = dataclasses.replace(read[number].reading, source=str(source))
-        found.append(dataclasses.replace(read[number], reading=reading))
+        trajectories_read.append(dataclasses.replace(read[number], reading=reading))
         lost = dropped_in_words(reading.dropped, len(read[number]), all_reasons=False)
         if strict and lost:
             raise InputError(f"{source}: {lost}; correct them, or remove --strict")
-    return found
+    return trajectories_read
 
 
 def each_topic(source: str) -> list[str]:
@@ -294,8 +294,8 @@ def _split_url(source: str) -> tuple[Path, str]:
             if path.exists():
                 return path, ":".join(pieces[count:])
     except Exception as error:  # the types of exceptions depend on the store
-        said = " ".join(str(error).split())[:200]
-        raise InputError(f"{source} can't be reached: {said}") from error
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{source} can't be reached: {reason}") from error
     raise InputError(f"{source} does not exist; check the URL")
 
 

@@ -28,8 +28,8 @@ def read_watched(
     poses = [item for item in asked if item is not None]
     # Only those of an estimate with an IMU are tested.
     covariances = [imu is not None and pose == estimate for pose in poses]
-    found = read_many(poses, advance=advance, covariances=covariances)
-    read = dict(zip(poses, found, strict=True))
+    trajectories = read_many(poses, advance=advance, covariances=covariances)
+    read = dict(zip(poses, trajectories, strict=True))
     return WatchedRun(
         read[estimate],
         None if imu is None else imu_of(imu),

@@ -87,11 +87,11 @@ def _has_large_integer(content: Any) -> bool:
 
 
 def require_known(
-    found: Iterable[str], known: Iterable[str], where: str, what: str = "key"
+    given: Iterable[str], known: Iterable[str], where: str, what: str = "key"
 ) -> None:
     """Check that all names are valid."""
     known = list(known)
-    for name in found:
+    for name in given:
         if name not in known:
             near = get_close_matches(str(name), known, n=1, cutoff=0.65)
             hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(known)}"

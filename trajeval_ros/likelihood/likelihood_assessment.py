@@ -165,12 +165,12 @@ def with_bayes_factors(
         dataclasses.replace(
             assessment,
             log_bayes={
-                name: own - other
+                name: score - other
                 for name, other, another in zip(names, scores, assessments, strict=True)
                 if another is not assessment
             },
         )
-        for assessment, own in zip(assessments, scores, strict=True)
+        for assessment, score in zip(assessments, scores, strict=True)
     ]
 
 
@@ -228,8 +228,8 @@ def _statements(assessment: LikelihoodAssessment) -> tuple[str, ...]:
             "groundtruth there"
         )
     times = continuous.samples.seconds(assessment.stamps)
-    own = continuous.samples.times
-    samples = np.count_nonzero((own >= times.min()) & (own <= times.max()))
+    sample_times = continuous.samples.times
+    samples = np.count_nonzero((sample_times >= times.min()) & (sample_times <= times.max()))
     per_sample = len(times) / max(int(samples), 1)
     if per_sample > _POSES_PER_SAMPLE:
         statements.append(

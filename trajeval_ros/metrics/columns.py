@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,37 @@ if TYPE_CHECKING:
     import pyarrow
 
 Columns = Mapping[str, NDArray[Any]]
+ArrayColumns = dict[str, NDArray[Any]]
+
+_XYZ, _TURNS = ("x", "y", "z"), ("roll", "pitch", "yaw")
+_COMPONENTS = {3: _XYZ, 4: (*_XYZ, "w"), 6: (*_XYZ, *_TURNS)}
+
+
+def columns_of(errors: Any) -> ArrayColumns:
+    """Return the fields of a dataclass of arrays that are not None, by name."""
+    return {
+        field.name: column
+        for field in dataclasses.fields(errors)
+        if (column := getattr(errors, field.name)) is not None
+    }
+
+
+def component_columns(columns: Columns) -> ArrayColumns:
+    """Return columns of shape (N,): a column of vectors is split into its components.
+
+    `aligned_positions` (N, 3) becomes `aligned_positions_x`, `_y` and `_z`. Components of
+    rotations are `_roll`, `_pitch` and `_yaw`. Points in names become underscores.
+    """
+    components = {}
+    for name, column in columns.items():
+        plain = name.replace(".", "_")
+        if column.ndim == 1:
+            components[plain] = column
+            continue
+        width = column.shape[1]
+        names = _TURNS if width == 3 and name.startswith("rotation") else _COMPONENTS[width]
+        components |= {f"{plain}_{item}": column[:, at] for at, item in enumerate(names)}
+    return components
 
 
 def arrow_table(columns: Columns) -> pyarrow.Table:

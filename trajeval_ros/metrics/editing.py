@@ -21,7 +21,7 @@ from trajeval_ros.geometry.frame_axes import (
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.pose_conventions import Conventions
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import (
     PLANES,
     TimeSpan,
@@ -47,6 +47,8 @@ class Editing:
 
     # How the trajectories are written, if their reader assumed something else.
     conventions: Conventions = field(default_factory=Conventions)
+    time_offset_s: float = 0.0  # added to the timestamps
+    hand_eye: HandEye | None = None  # pose of the reference's marker in the body
     # Period to keep; relative times count from the reference's first timestamp, or from the
     # trajectory's own without a reference.
     time_span: TimeSpan | None = None
@@ -98,16 +100,21 @@ def edit(
     trajectories: Sequence[Trajectory], reference: Trajectory | None, editing: Editing
 ) -> list[Edited]:
     """Return the edited trajectories; the reference serves to align and to synchronise."""
-    if reference is None and (editing.align is not None or editing.synchronise is not None):
+    needs_reference = (editing.align, editing.synchronise, editing.hand_eye)
+    if reference is None and any(item is not None for item in needs_reference):
         raise SettingsError(
-            "alignment and synchronisation need a reference; give --reference SOURCE"
+            "alignment, synchronisation and the pose of a marker need a reference; give "
+            "--reference SOURCE"
         )
     if reference is not None:
-        reference = reference.in_order()
+        reference = reference_of(reference, editing)
     parts = []
     for trajectory in trajectories:
         with _named(trajectory):
             trajectory = editing.conventions.corrected(trajectory)
+            trajectory = _shifted(trajectory, editing.time_offset_s)
+            if reference is not None and editing.hand_eye and reference.quaternions is None:
+                trajectory = editing.hand_eye.of_marker(trajectory, 1.0)
             parts.append(_cut(trajectory.in_order(), reference, editing.time_span))
     if editing.merge:
         parts = [merged(parts)]
@@ -131,6 +138,26 @@ def _edit(trajectory: Trajectory, reference: Trajectory | None, editing: Editing
         partner = None if partner is None else flattened(partner, editing.plane)
     rows = _kept(trajectory, editing)
     return Edited(trajectory[rows], None if partner is None else partner[rows], alignment)
+
+
+def reference_of(reference: Trajectory, editing: Editing) -> Trajectory:
+    """Return the reference in order of time, and of the body if its marker's pose is known.
+
+    As in an evaluation, a reference without orientations stays: the trajectories move.
+    """
+    reference = reference.in_order()
+    if editing.hand_eye is None or reference.quaternions is None:
+        return reference
+    return editing.hand_eye.of_body(reference)
+
+
+def _shifted(trajectory: Trajectory, offset_s: float) -> Trajectory:
+    if offset_s == 0.0:
+        return trajectory
+    if not trajectory.reading.stamped:
+        raise InputError("no timestamps, which a time offset needs")
+    offset_ns = round(offset_s * NANOSECONDS)
+    return dataclasses.replace(trajectory, stamps=trajectory.stamps + offset_ns)
 
 
 def _cut(

@@ -15,7 +15,7 @@ from trajeval_ros.formatting.numbers import counted, significant, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import flattened
@@ -28,18 +28,24 @@ from trajeval_ros.metrics.absolute_errors import (
 )
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, associate
-from trajeval_ros.metrics.columns import arrow_table, pandas_frame
+from trajeval_ros.metrics.columns import (
+    ArrayColumns,
+    arrow_table,
+    columns_of,
+    component_columns,
+    pandas_frame,
+)
 from trajeval_ros.metrics.other_programs import pose_errors
 from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.relative_errors import RelativeErrors
 from trajeval_ros.metrics.relative_evaluation import (
     Drift,
     SubTrajectoryErrors,
     relative_evaluation,
     rmse_text,
 )
+from trajeval_ros.metrics.scale_along_run import ScaleAlongRun, scale_along_run
 from trajeval_ros.metrics.score import Recall, Score, point_errors
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import Length
@@ -108,6 +114,14 @@ class Evaluation:
         """The paired estimated states, aligned; computed at the first access."""
         return self.alignment.similarity.trajectory(self.association.estimate)
 
+    @cached_property
+    def scale_along_run(self) -> ScaleAlongRun | None:
+        """The scale along the run, for gauges with a scale; None if the pairs are too few."""
+        if not self.protocol.gauge.has_scale:
+            return None
+        sides = self.association.groundtruth.positions, self.association.estimate.positions
+        return scale_along_run(*sides, self.alignment.similarity.scale)
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """The sentences of the remarks that question numbers, the most severe one first."""
@@ -151,7 +165,7 @@ class Evaluation:
         span = " to ".join(f"{item:g}" for item in dict.fromkeys((min(lengths), max(lengths))))
         return f"{', '.join(parts)} (KITTI, {span} m)"
 
-    def to_columns(self, length: Length | float | str | None = None) -> dict[str, NDArray[Any]]:
+    def to_columns(self, length: Length | float | str | None = None) -> ArrayColumns:
         """Return errors as columns of equal lengths.
 
         Args:
@@ -159,37 +173,67 @@ class Evaluation:
                 for the errors of all N pairs.
 
         Returns:
-            For pairs: `stamps` (int64 ns, groundtruth's clock) and the available columns of
-            `AbsoluteErrors`. For sub-trajectories: `starts` and `ends` (indices of pairs) and the
-            available columns of `RelativeErrors`.
+            For pairs: `stamps` (N,) (int64 ns, groundtruth's clock), the errors of
+            `AbsoluteErrors` (N,), the vectors of `ErrorVectors` (N, 3), `aligned_positions`
+            (N, 3), metres, and `aligned_quaternions` (N, 4), xyzw; vectors and poses are in the
+            axes of the groundtruth's frame as it was read. For sub-trajectories: `starts` and
+            `ends` (indices of pairs) and the errors of `RelativeErrors`. Quantities that are not
+            available are left out.
 
         Raises:
             SettingsError: There are no relative errors of that length.
         """
         if length is None:
-            return {"stamps": self.association.estimate.stamps, **_columns_of(self.absolute)}
-        wanted = Length.of(length)
+            return self._pair_columns()
+        requested = Length.of(length)
         for part in self.relative or ():
-            if part.length == wanted:
-                return _columns_of(part.errors)
+            if part.length == requested:
+                return columns_of(part.errors)
         known = ", ".join(str(part.length) for part in self.relative or ()) or "none"
-        raise SettingsError(f"no relative errors of {wanted}; available: {known}")
+        raise SettingsError(f"no relative errors of {requested}; available: {known}")
+
+    def _pair_columns(self) -> ArrayColumns:
+        aligned, vectors = self.aligned, columns_of(self.error_vectors)
+        z_up = self.groundtruth.up.applied
+        if not np.array_equal(z_up, np.eye(3)):
+            back = Similarity(z_up.T, np.zeros(3))
+            aligned = back.trajectory(aligned)
+            for name in ("position_world_m", "rotation_world_deg"):
+                if name in vectors:
+                    vectors[name] = back.vectors(vectors[name])
+        columns = {
+            "stamps": self.association.estimate.stamps,
+            **columns_of(self.absolute),
+            **vectors,
+            "aligned_positions": aligned.positions,
+        }
+        if aligned.quaternions is not None:
+            columns["aligned_quaternions"] = aligned.quaternions
+        return columns
+
+    def _table(self, length: Length | float | str | None) -> ArrayColumns:
+        """Return columns of shape (N,); those of pairs are the columns of errors.parquet."""
+        columns = self.to_columns(length)
+        if length is not None:
+            return columns
+        named = np.full(len(self.association), self.estimate.name)
+        return {"estimate": named, **component_columns(columns)}
 
     def to_arrow(self, length: Length | float | str | None = None) -> pyarrow.Table:
-        """Return `to_columns` as an Arrow table.
+        """Return an Arrow table; that of pairs has the columns of errors.parquet.
 
         Raises:
             InputError: pyarrow is not installed.
         """
-        return arrow_table(self.to_columns(length))
+        return arrow_table(self._table(length))
 
     def to_pandas(self, length: Length | float | str | None = None) -> pandas.DataFrame:
-        """Return `to_columns` as a pandas data frame.
+        """Return a pandas data frame; that of pairs has the columns of errors.parquet.
 
         Raises:
             InputError: pandas is not installed.
         """
-        return pandas_frame(self.to_columns(length))
+        return pandas_frame(self._table(length))
 
     def __repr__(self) -> str:
         """Return a summary of the errors in a few lines, without arrays."""
@@ -223,14 +267,6 @@ class Evaluation:
             f"{counted(len(self.association), 'pair')}"
         )
         return html_table(caption, ("", "error", *names), rows)
-
-
-def _columns_of(errors: AbsoluteErrors | RelativeErrors) -> dict[str, NDArray[Any]]:
-    return {
-        field.name: column
-        for field in dataclasses.fields(errors)
-        if (column := getattr(errors, field.name)) is not None
-    }
 
 
 def evaluate(
@@ -341,7 +377,7 @@ def _absolute_errors(
         errors = absolute_errors(
             pairs.groundtruth[part], aligned, protocol.ate_form, rotation=rotation
         )
-        columns = _columns_of(errors)
+        columns = columns_of(errors)
         names[:] = columns
         return tuple(columns.values())
 

@@ -73,8 +73,10 @@ class OnlineSettings:
         self._require_possible()
 
     def with_gauge(self, gauge: Gauge) -> OnlineSettings:
-        """Return the settings with another gauge."""
-        return replace(self, protocol=replace(self.protocol, gauge=gauge))
+        """Return the settings with another gauge, which is that of no modality."""
+        if gauge is self.protocol.gauge:
+            return self
+        return replace(self, protocol=replace(self.protocol, gauge=gauge, modality=None))
 
     def with_offset(self, offset_s: float) -> OnlineSettings:
         """Return the settings with another offset of the estimate's timestamps, seconds."""

@@ -12,16 +12,16 @@ from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.discontinuities import about_small_discontinuities
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.remarks import Level, Remark, warning
+from trajeval_ros.formatting.remarks import Level, Remark, note, warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
+from trajeval_ros.metrics.discontinuities.events import DIVERGED
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.metrics.statistics import median
-from trajeval_ros.metrics.tracking_loss import DIVERGED
 from trajeval_ros.pipeline.input_remarks import about_coverage, about_inputs, about_rows
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def remarks_on(
         *_about_relative_errors(evaluation),
         *_about_yaw_information(evaluation),
         *about_inputs(evaluation),
+        *_about_scale(evaluation),
     )
 
 
@@ -193,6 +194,17 @@ def _about_yaw_information(evaluation: Evaluation) -> Iterator[Remark]:
     tested.add(estimate.stamps[order], covariances, estimate.up.matrix[2])
     if tested.remark is not None:
         yield tested.remark
+
+
+def _about_scale(evaluation: Evaluation) -> Iterator[Remark]:
+    """Yield the note about a scale that drifts, if it does."""
+    scale = evaluation.scale_along_run
+    if scale is not None and scale.is_drifting:
+        yield note(
+            "scale_drift",
+            f"the scale drifts by {scale.drift_text} % per 100 m, from {scale.ratios[0]:.3f} to "
+            f"{scale.ratios[-1]:.3f} times that of the alignment",
+        )
 
 
 def _about_up_axis(evaluation: Evaluation) -> Iterator[Remark]:

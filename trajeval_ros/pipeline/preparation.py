@@ -177,7 +177,7 @@ def in_world_axes(inputs: Inputs, request: Request) -> tuple[Inputs, Protocol]:
 
 def in_gauge_axes(inputs: Inputs, protocol: Protocol) -> Inputs:
     """Return the inputs with z up if the gauge is about gravity; refuse a wrong up axis."""
-    require_up_axis(inputs.groundtruth, protocol.gauge)
+    require_up_axis(inputs.groundtruth, inputs.estimate, protocol.gauge)
     return inputs.changed(upright, upright) if protocol.is_upright else inputs
 
 

@@ -49,8 +49,8 @@ class Request:
             the trajectories' own.
         states_table: Further numbers of aligned states for which the ATE is computed.
         fixes: Selection and frame of the groundtruth's GNSS fixes.
-        gauge_is_default: Whether the gauge is not chosen by the user. It is then yaw for GNSS
-            fixes, because their heights would tilt the estimate.
+        gauge_is_default: Whether the gauge is not chosen by the user, or only by sensors `lidar`.
+            It is then yaw for GNSS fixes, because their heights would tilt the estimate.
         corrections: Conventions of the inputs that differ from those that were read; None
             for none.
         correct: Cause to correct if the diagnosis finds it, `suggested` for the most severe
@@ -142,7 +142,7 @@ class Request:
         """
         protocol = self.protocol
         if self.gauge_is_default and groundtruth.reading.fixes is not None:
-            protocol = dataclasses.replace(protocol, gauge=Gauge.YAW)
+            protocol = dataclasses.replace(protocol, gauge=Gauge.YAW, modality=None)
         if groundtruth.reading.fixes is not None:
             from trajeval_ros.pipeline.fix_remarks import require_fixes_fit
 

@@ -36,11 +36,15 @@ def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
     parts = _parts_apart(evaluations) if withheld else []
     if canvas.is_crowded(len(evaluations)):
         return _row_each(evaluations, names, parts)
-    panels = 2 + len(parts)
-    figure = canvas.new_figure(panels * _PANEL_IN + _BELOW_IN, _title(evaluations))
-    upper, *middle, lower = figure.subplots(panels, 1)
-    rows = 0
-    for axes, part in zip((upper, *middle), ("position", *parts), strict=True):
+    title = _title(evaluations)
+    if withheld:
+        reasons = dict.fromkeys(why_no_rotation(item) for item in evaluations)
+        title += f"\nRotation error withheld: {'; '.join(reasons)}."
+    panels = 1 + len(parts) + (not withheld)
+    figure = canvas.new_figure(panels * _PANEL_IN + _BELOW_IN, title)
+    drawn = figure.subplots(panels, 1, squeeze=False).ravel()
+    upper, rows = drawn[0], 0
+    for axes, part in zip(drawn, ("position", *parts), strict=False):
         for place, (evaluation, name) in enumerate(zip(evaluations, names, strict=True)):
             coverage = whole_percent(evaluation.association.groundtruth_coverage)
             label = f"{name}, {coverage} covered, " if axes is upper else f"{name}, "
@@ -48,12 +52,8 @@ def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
         axes.set_ylabel(f"{part} error [m]")
         axes.set_ylim(bottom=0.0)
         rows += canvas.legend_above(axes)
-    if withheld:
-        reasons = dict.fromkeys(why_no_rotation(item) for item in evaluations)
-        canvas.annotate(lower, f"Rotation error withheld: {'; '.join(reasons)}.")
-    else:
-        rows += _draw_rotation(lower, evaluations, names)
-    drawn = [upper, *middle] if withheld else [upper, *middle, lower]
+    if not withheld:
+        rows += _draw_rotation(drawn[-1], evaluations, names)
     for axes in drawn[1:]:
         axes.sharex(upper)
     for axes in drawn[:-1]:

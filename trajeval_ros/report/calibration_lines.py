@@ -20,9 +20,9 @@ _GROWN = 1.001
 
 def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
     """Return the parameters, whether they were applied and why, and the ATE before and after."""
-    calibration, wanted = calibrated.calibration, calibrated.wanted
+    calibration, request = calibrated.calibration, calibrated.request
     lines = ["", f"{name}: calibration" + _source(name, calibrated)]
-    if calibration is not None and wanted.offset:
+    if calibration is not None and request.offset:
         offset = calibration.offset
         text = _quantity(offset, 1e3, "ms", "{:+.1f}")
         rows = [
@@ -32,7 +32,7 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
         ]
         text += f" ({', '.join(rows)})" if rows and offset.value is not None else ""
         lines.append(_line("clock offset", text, offset, calibrated.offset_applied))
-    if calibration is not None and wanted.hand_eye:
+    if calibration is not None and request.hand_eye:
         turn, lever = calibration.turn, calibration.lever
         text = "unknown"
         if turn.value is not None and turn.half_width_95 is not None:
@@ -41,9 +41,9 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
         lines.append(_line("body rotation", text, turn, calibrated.rotation_applied))
         text = _quantity(lever, 1.0, "m", "{:.3f}")
         lines.append(_line("lever arm", text, lever, calibrated.lever_applied))
-    if wanted.known is not None:
-        arm = " ".join(f"{component:.4g}" for component in wanted.known.lever_m)
-        lines.append(f"  hand-eye       lever arm {arm} m, from {wanted.source}: applied")
+    if request.known is not None:
+        arm = " ".join(f"{component:.4g}" for component in request.known.lever_m)
+        lines.append(f"  hand-eye       lever arm {arm} m, from {request.source}: applied")
     lines.append("  " + _ate(calibrated))
     return lines + _growth(calibrated)
 
@@ -112,7 +112,7 @@ def _growth(calibrated: Calibrated) -> list[str]:
         "over about 1 s, not the ATE, and errors of clock, lever arm and drift can cancel "
         "without it"
     )
-    missing = calibrated.wanted.hand_eye and not calibrated.lever_applied
+    missing = calibrated.request.hand_eye and not calibrated.lever_applied
     if missing and anyway is not None and anyway.position_m < before.position_m:
         text += f"; with the lever arm, which is not applied, it is {anyway.position_m:.4g} m"
     return [text]

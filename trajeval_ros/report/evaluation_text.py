@@ -43,10 +43,17 @@ def print_verdicts(terminal: Console, outcome: Outcome) -> None:
                 terminal.print(line, soft_wrap=True)
         if run.own_error is not None:
             terminal.print(own_error_line(run.own_error), soft_wrap=True)
-    if outcome.request.gauge_is_default:
+    protocol = outcome.runs[0].evaluation.protocol
+    if outcome.request.gauge_is_default and outcome.groundtruth.fixes is not None:
         terminal.print(
-            f"  gauge {outcome.runs[0].evaluation.protocol.gauge.value} by default; set the "
-            "sensors with --modality (mono, stereo, stereo-inertial, ...)",
+            f"  gauge {protocol.gauge.value} by default for GNSS fixes, because their heights "
+            "tilt the estimate; set another with --gauge",
+            soft_wrap=True,
+        )
+    elif outcome.request.gauge_is_default and protocol.modality is None:
+        terminal.print(
+            f"  gauge {protocol.gauge.value} by default; set the sensors with --modality (mono, "
+            "stereo, stereo-inertial, ...)",
             soft_wrap=True,
         )
 
@@ -111,6 +118,10 @@ def _print_errors(terminal: Console, runs: Sequence[RunOutcome], statistic: str)
     if relative is not None:
         terminal.print()
         show(terminal, relative)
+    scale = tables.scale_table(evaluations)
+    if scale is not None:
+        terminal.print()
+        show(terminal, scale)
 
 
 def print_remarks(remarks: Console, runs: Sequence[RunOutcome]) -> None:

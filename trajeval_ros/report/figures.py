@@ -16,6 +16,7 @@ from trajeval_ros.report.absolute_figure import absolute_error
 from trajeval_ros.report.figure_output import save
 from trajeval_ros.report.figure_style import FORMATS, apply_style
 from trajeval_ros.report.relative_figure import relative_error
+from trajeval_ros.report.scale_figure import scale_along_run
 from trajeval_ros.report.trajectory_figure import side_view, top_view
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ _DRAWINGS = {
     "side": side_view,
     "absolute": absolute_error,
     "relative": relative_error,
+    "scale": scale_along_run,
 }
 
 
@@ -41,7 +43,8 @@ def draw(
     Args:
         evaluations: One, or several with the same groundtruth and protocol.
         kind: `top` or `side`: aligned estimates and groundtruth from above or from the side;
-            `absolute`: errors over the distance travelled; `relative`: errors by length.
+            `absolute`: errors over the distance travelled; `relative`: errors by length;
+            `scale`: the scale along the run, for gauge sim3.
         path: File to write in addition, as PNG, PDF, SVG or PGF by its suffix; None for none.
 
     Returns:
@@ -108,7 +111,8 @@ def evaluation_drawings(evaluations: Sequence[Evaluation]) -> dict[str, canvas.D
 
     `trajectory_top` and, except for gauge planar, `trajectory_side`: aligned estimates,
     groundtruth and correspondences. `absolute_error`: over the distance travelled.
-    `relative_error`: by length, if the protocol has lengths. `evaluations`: one per estimate, with
+    `relative_error`: by length, if the protocol has lengths. `scale`: along the
+    run, if the gauge has a scale. `evaluations`: one per estimate, with
     the same groundtruth and protocol.
     """
     legend = canvas.short_names([e.estimate.name for e in evaluations])
@@ -121,4 +125,6 @@ def evaluation_drawings(evaluations: Sequence[Evaluation]) -> dict[str, canvas.D
     drawings["absolute_error"] = partial(absolute_error, evaluations, legend)
     if protocol.lengths:
         drawings["relative_error"] = partial(relative_error, evaluations, legend)
+    if any(evaluation.scale_along_run is not None for evaluation in evaluations):
+        drawings["scale"] = partial(scale_along_run, evaluations, legend)
     return drawings

@@ -149,6 +149,25 @@ def relative_table(
     return table
 
 
+def scale_table(evaluations: Sequence[Evaluation]) -> Table | None:
+    """Return the table of the scale along the run, a row per estimate; None without any."""
+    if not any(evaluation.scale_along_run for evaluation in evaluations):
+        return None
+    table = Table(
+        "Scale along the run: path of the aligned estimate / path of the groundtruth",
+        ["estimate", "length"],
+        ["first", "last", "min", "max", "drift [%/100 m]", "count"],
+    )
+    for evaluation in evaluations:
+        scale = evaluation.scale_along_run
+        if scale is not None:
+            ratios = scale.ratios
+            shown = (ratios[0], ratios[-1], ratios.min(), ratios.max())
+            cells = (*(f"{ratio:.3f}" for ratio in shown), scale.drift_text, str(len(ratios)))
+            table.add([evaluation.estimate.name, with_unit(scale.length_m, "m"), *cells])
+    return table
+
+
 def _length_text(segment: SubTrajectoryErrors) -> str:
     """Return the measured length with its unit: 8 m, 1 s, 8.06 m for a percentage of the path."""
     if segment.length_m is None:

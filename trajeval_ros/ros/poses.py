@@ -276,9 +276,9 @@ class PoseStream:
         if not trust.lone:
             return
         if not self.status.has(LONE):
-            self.news.append(warning("data", f"{self._topic}: {trust.said}"))
+            self.news.append(warning("data", f"{self._topic}: {trust.message}"))
         others = [remark for remark in self.status.remarks if remark.code != LONE]
-        self.status.remarks = [*others, note(LONE, trust.said)]
+        self.status.remarks = [*others, note(LONE, trust.message)]
 
     def _see_trouble(self, poses: int, dropped: Mapping[str, int]) -> None:
         """Report once that messages arrive without valid poses.

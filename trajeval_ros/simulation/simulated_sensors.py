@@ -100,8 +100,8 @@ def gnss_fixes(groundtruth: Trajectory, name: str, seed: int) -> Trajectory:
     """
     receiver, generator = receiver_named(name), np.random.default_rng([seed, 1])
     first = groundtruth.stamps[0] + round(generator.uniform(0.3, 1.0) * NANOSECONDS)
-    wanted = np.arange(first, groundtruth.stamps[-1], NANOSECONDS)
-    rows = np.minimum(groundtruth.stamps.searchsorted(wanted), len(groundtruth) - 1)
+    stamps = np.arange(first, groundtruth.stamps[-1], NANOSECONDS)
+    rows = np.minimum(groundtruth.stamps.searchsorted(stamps), len(groundtruth) - 1)
     states = groundtruth[rows]
     assert states.rotations is not None
     times = (states.stamps - groundtruth.stamps[0]) / NANOSECONDS

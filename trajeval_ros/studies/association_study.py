@@ -55,8 +55,8 @@ class Degradation:
         groundtruth = groundtruth.in_order()
         seconds = groundtruth.seconds
         step = 1.0 / self.rate_hz
-        wanted = np.arange(random.uniform(0.0, step), seconds[-1], step)
-        rows = np.unique(np.clip(np.searchsorted(seconds, wanted), 0, len(seconds) - 1))
+        grid = np.arange(random.uniform(0.0, step), seconds[-1], step)
+        rows = np.unique(np.clip(np.searchsorted(seconds, grid), 0, len(seconds) - 1))
         rows = rows[~self._lost(seconds[rows], float(seconds[-1]), random)]
         kept = groundtruth[rows]
         shape = (len(rows), 3)
@@ -147,10 +147,10 @@ def compare_associations(
 def _plain(name: str, poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> ReportedAte:
     """Return the ATE by an association without uncertainty."""
     try:
-        found = evaluate(poor, estimate, protocol)
+        evaluation = evaluate(poor, estimate, protocol)
     except TrajevalError as error:
         return ReportedAte(name, None, 0.0, reason=str(error))
-    return ReportedAte(name, _position_ate(found), _covered(found))
+    return ReportedAte(name, _position_ate(evaluation), _covered(evaluation))
 
 
 def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[ReportedAte]:
@@ -158,14 +158,14 @@ def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> l
     model = protocol.association.model
     names = [f"{model}, {which}" for which in ("plain", "weighted", "supported")]
     try:
-        found = evaluate(poor, estimate, protocol)
-        ate = assess_likelihood(found).ate
+        evaluation = evaluate(poor, estimate, protocol)
+        ate = assess_likelihood(evaluation).ate
     except TrajevalError as error:
         return [ReportedAte(name, None, 0.0, reason=str(error)) for name in names]
-    covered = _covered(found)
+    covered = _covered(evaluation)
     nowhere = "" if ate.supported_m is not None else "the groundtruth is too uncertain everywhere"
     return [
-        ReportedAte(names[0], _position_ate(found), covered),
+        ReportedAte(names[0], _position_ate(evaluation), covered),
         ReportedAte(names[1], ate.weighted_m, covered),
         ReportedAte(
             names[2], ate.supported_m, covered * ate.supported_share, ate.interval_m, nowhere

@@ -67,16 +67,16 @@ class KeyframeSelection:
             self, camera=dataclasses.replace(self.camera, noise_px=pixel_noise)
         )
 
-    def kept(self, wanted: Booleans) -> tuple[KeyframeSelection, Indices]:
+    def kept(self, observed: Booleans) -> tuple[KeyframeSelection, Indices]:
         """Return the selected observations, and the indices (K',) of the remaining landmarks.
 
         Landmarks with too few observing keyframes are dropped, too.
         """
-        views = np.bincount(self.landmark_of[wanted], minlength=self.landmarks)
-        wanted = wanted & (views >= FEWEST_VIEWS)[self.landmark_of]
-        left, landmark_of = np.unique(self.landmark_of[wanted], return_inverse=True)
+        views = np.bincount(self.landmark_of[observed], minlength=self.landmarks)
+        observed = observed & (views >= FEWEST_VIEWS)[self.landmark_of]
+        left, landmark_of = np.unique(self.landmark_of[observed], return_inverse=True)
         names, other = ("pixels", "weights", "keyframe_of"), {"landmark_of": landmark_of}
-        return at_rows(self, names, wanted, **other, landmarks=len(left)), left
+        return at_rows(self, names, observed, **other, landmarks=len(left)), left
 
     @property
     def gravity_felt(self) -> Floats:

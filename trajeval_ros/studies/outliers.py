@@ -125,6 +125,6 @@ def _parallax(selection: KeyframeSelection, state: State) -> Floats:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     order = np.argsort(selection.landmark_of, kind="stable")
     ends = np.cumsum(np.bincount(selection.landmark_of, minlength=selection.landmarks))[:-1]
-    cosines = [(own @ own.T).min(initial=1.0) for own in np.split(rays[order], ends)]
+    cosines = [(group @ group.T).min(initial=1.0) for group in np.split(rays[order], ends)]
     angles: Floats = np.arccos(np.clip(cosines, -1.0, 1.0))
     return angles

@@ -89,12 +89,12 @@ def _recording_in(folder: Path) -> SensorRecording:
 def _only(folder: Path, what: str) -> Path:
     """Return the only file of the folder with the content `what`, a key of `_NAMES`."""
     for pattern in _NAMES[what]:
-        found = sorted(folder.glob(pattern))
-        if len(found) == 1:
-            return found[0]
-        if found:
+        files = sorted(folder.glob(pattern))
+        if len(files) == 1:
+            return files[0]
+        if files:
             raise InputError(
-                f"{folder} has more than one file of {what} ({found[0].name}, {found[1].name}); "
+                f"{folder} has more than one file of {what} ({files[0].name}, {files[1].name}); "
                 "keep only one"
             )
     raise InputError(

@@ -118,16 +118,18 @@ def _draw(
         evaluations, consistencies, estimates, strict=True
     ):
         _draw_estimate(recording, evaluation, entities, origin, scale, rows)
-        said = list(evaluation.warnings)
+        sentences = list(evaluation.warnings)
         if consistency is not None:
             factor = send_consistency(recording, evaluation, consistency, entities, origin)
-            said.append(f"ellipsoids: {scene_entities.SIGMAS:g} sigma, enlarged {factor:g} times")
-            said.append(consistency.statement)
+            sentences.append(
+                f"ellipsoids: {scene_entities.SIGMAS:g} sigma, enlarged {factor:g} times"
+            )
+            sentences.append(consistency.statement)
         elif evaluation.estimate.covariances is not None:
             its_origin = origin_for(evaluation.estimate.positions)
             _send_covariances(recording, entities.covariance, evaluation.estimate, its_origin)
         name = f"{entities.name}: " if len(estimates) > 1 else ""
-        remarks += [f"{name}{item}" for item in said]
+        remarks += [f"{name}{item}" for item in sentences]
     if is_on_map(groundtruth.reading.fixes, groundtruth.up):
         send_map(recording, evaluations, estimates)
     if origin.any():
@@ -275,8 +277,8 @@ def _send_events(recording: Any, evaluations: Sequence[Evaluation], names: Seque
             _say(recording, stamps[row + 1], text_panel.gap_in_words(name, step))
         first_ns = int(evaluation.groundtruth.stamps.min())
         for event in evaluation.events:
-            said = f"{name}: {sentence_about(event, first_ns)}"
-            _say(recording, np.int64(event.end_ns), said)
+            text = f"{name}: {sentence_about(event, first_ns)}"
+            _say(recording, np.int64(event.end_ns), text)
         for warning in evaluation.warnings:
             _say(recording, stamps[-1], f"{name}: {warning}")
         _say(recording, stamps[0], f"{name}: first of {counted(len(stamps), 'pair')}", warn=False)

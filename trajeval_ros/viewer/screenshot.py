@@ -59,9 +59,9 @@ def ask_for_screenshot(url: str, png: Path) -> None:
             time.sleep(_SETTLE_S)
             viewer.save_screenshot(str(png.resolve()))
     except (OSError, RuntimeError, ValueError) as error:  # the exceptions of the SDK
-        said = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
-            f"Rerun's viewer took no screenshot ({said}); close other programs and try again"
+            f"Rerun's viewer took no screenshot ({reason}); close other programs and try again"
         ) from error
     if not png.exists():
         raise InputError(f"Rerun's viewer can't write the screenshot {png}")

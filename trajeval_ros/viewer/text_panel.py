@@ -118,8 +118,8 @@ def gap_in_words(name: str, step_ns: int) -> str:
 
 def rmse_of(statistics: Mapping[str, Statistics | None], metric: str) -> float | None:
     """Return the RMSE of a metric; None if there is none."""
-    found = statistics.get(metric)
-    return None if found is None else found.rmse
+    errors = statistics.get(metric)
+    return None if errors is None else errors.rmse
 
 
 def _scales(gauge: Gauge, alignments: Sequence[Alignment | None]) -> list[Row]:
@@ -218,5 +218,5 @@ def _text(
         meaning.append(f"{what} {scale.in_words}.")
         if is_growing and one:
             meaning.append("The colours of the newest part follow later.")
-    said = (f"* {markdown_text(remark)}" for remark in remarks)
-    return "\n".join([*table, "", " ".join(meaning), "", *said])
+    items = (f"* {markdown_text(remark)}" for remark in remarks)
+    return "\n".join([*table, "", " ".join(meaning), "", *items])

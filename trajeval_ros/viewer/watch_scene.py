@@ -127,8 +127,8 @@ def _tell(recording: Any, seen: Watched, book: AlarmBook) -> None:
         unit = signal_of(alarm.signal).unit
         level = "error" if book.is_error(alarm) else "warning"
         peak, limit = (with_unit(item, unit) for item in (alarm.peak, alarm.limit))
-        said = f"{level}: {alarm.signal} up to {peak}, limit {limit}"
-        say(alarm.begin_s, said, warn=True)
+        message = f"{level}: {alarm.signal} up to {peak}, limit {limit}"
+        say(alarm.begin_s, message, warn=True)
         lane = changes.setdefault(alarm.signal, [(seen.armed_s, OK)])
         lane.append((alarm.begin_s, ERROR if book.is_error(alarm) else WARNING))
         if alarm.is_over:

@@ -245,10 +245,10 @@ def make_scene(
             f"{'too many for the IMU' if samples < 1 else 'too few'}; use at least 3 and fewer "
             f"than {int(motion.duration_s * IMU_RATE_HZ)}"
         )
-    wanted = profile.landmarks if landmarks is None else landmarks
-    if wanted < 8:
+    count = profile.landmarks if landmarks is None else landmarks
+    if count < 8:
         raise SettingsError(
-            f"{wanted} landmarks are too few to determine a camera pose; use at least 8"
+            f"{count} landmarks are too few to determine a camera pose; use at least 8"
         )
     times = np.arange((keyframes - 1) * samples + 1) / IMU_RATE_HZ
     rates, forces = _perfect_samples(motion, times, is_exact=profile.is_exact)
@@ -258,7 +258,7 @@ def make_scene(
     points, keyframe_of, landmark_of, pixels = draw_landmarks(
         np.random.default_rng(seed),
         layout,
-        wanted,
+        count,
         positions,
         rotations @ motion.camera_in_body,
         profile.camera,

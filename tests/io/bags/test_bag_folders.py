@@ -36,7 +36,7 @@ def test_a_compressed_file_is_called_by_its_own_name(
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     try:
-        said = "; ".join(read_trajectory(str(path)).reading.said(Level.ERROR))
+        said = "; ".join(read_trajectory(str(path)).reading.messages(Level.ERROR))
     except InputError as error:
         said = str(error)
     assert str(path) in said
@@ -50,7 +50,7 @@ def test_split_bags_are_ordered_by_time(storage: Any, tmp_path: Path) -> None:
     (bag / f"a_9{ending(storage)}").unlink()
     read = read_trajectory(str(bag))
     assert rows_of(read) == list(range(100, 200))
-    said = "; ".join(read.reading.said(Level.ERROR))
+    said = "; ".join(read.reading.messages(Level.ERROR))
     assert "metadata.yaml lists a_9" in said
     assert "declares 200 messages on /pose, but 100 were read" in said
 
@@ -60,7 +60,7 @@ def test_one_file_of_several_that_is_no_bag(tmp_path: Path) -> None:
     (bag / "a_10.mcap").write_bytes(b"no bag at all")
     read = read_trajectory(str(bag))
     assert rows_of(read) == list(range(100))
-    assert any("a_10.mcap skipped" in sentence for sentence in read.reading.said(Level.ERROR))
+    assert any("a_10.mcap skipped" in sentence for sentence in read.reading.messages(Level.ERROR))
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -85,5 +85,5 @@ def test_a_wrong_count_in_the_metadata(tmp_path: Path) -> None:
     assert len(read) == 50
     assert any(
         "declares 60 messages on /pose, but 50 were read" in sentence
-        for sentence in read.reading.said(Level.ERROR)
+        for sentence in read.reading.messages(Level.ERROR)
     )

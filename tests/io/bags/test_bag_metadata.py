@@ -124,9 +124,9 @@ def assert_whole(bag: Path) -> list[str]:
     """Read a bag, and return the notes about its folder."""
     read = read_trajectory(str(bag), strict=True)
     assert read.positions[:, 0].tolist() == list(range(2 * COUNT))
-    assert not read.reading.said(Level.ERROR)
+    assert not read.reading.messages(Level.ERROR)
     assert not read.reading.dropped
-    return [sentence for sentence in read.reading.said(Level.NOTE) if str(bag) in sentence]
+    return [sentence for sentence in read.reading.messages(Level.NOTE) if str(bag) in sentence]
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +161,7 @@ def test_every_version(
     topics = content["rosbag2_bagfile_information"]["topics_with_message_count"]
     topics[0]["message_count"] += 7
     rewrite(bag, content)
-    [said] = read_trajectory(str(bag)).reading.said(Level.ERROR)
+    [said] = read_trajectory(str(bag)).reading.messages(Level.ERROR)
     assert said == f"{bag} declares 67 messages on /pose, but 60 were read"
     (bag / "metadata.yaml").unlink()
     assert not assert_whole(bag)
@@ -195,7 +195,7 @@ def test_nothing_outside_of_the_folder_is_read(
     (bag / names[1]).unlink()
     read = read_trajectory(str(bag))
     assert len(read) == COUNT
-    assert f"{bag}/metadata.yaml lists {written[1]}, which is missing" in read.reading.said(
+    assert f"{bag}/metadata.yaml lists {written[1]}, which is missing" in read.reading.messages(
         Level.ERROR
     )
     with pytest.raises(InputError, match="which is missing"):
@@ -209,7 +209,7 @@ def test_what_names_no_file_is_missing(path: str, bags: dict[Any, Path], tmp_pat
     rewrite(bag, information(9, [*names_in(bag), path]))
     read = read_trajectory(str(bag))
     assert len(read) == 2 * COUNT
-    assert read.reading.said(Level.ERROR) == (
+    assert read.reading.messages(Level.ERROR) == (
         f"{bag}/metadata.yaml lists {path}, which is missing",
     )
 

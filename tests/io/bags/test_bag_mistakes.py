@@ -58,7 +58,7 @@ def test_truncated_bags(make: Make, share: float, tmp_path: Path) -> None:
     path = make(tmp_path)
     content = path.read_bytes()
     path.write_bytes(content[: int(len(content) * share)])
-    said = refusal(path) or "; ".join(read_trajectory(str(path)).reading.said(Level.ERROR))
+    said = refusal(path) or "; ".join(read_trajectory(str(path)).reading.messages(Level.ERROR))
     assert said
     assert "\n" not in said
     assert path.name in said
@@ -128,7 +128,7 @@ def test_messages_in_a_log_are_read(tmp_path: Path) -> None:
     connection.close()
     read = read_trajectory(str(copy / "unfinished.db3"))
     assert len(read) == 5
-    assert not read.reading.said(Level.ERROR)
+    assert not read.reading.messages(Level.ERROR)
     (copy / "unfinished.db3-wal").write_bytes(b"no log")
     assert len(read_trajectory(str(copy / "unfinished.db3"))) == 2000
 
@@ -169,8 +169,12 @@ def test_stamps_that_are_no_times(tmp_path: Path) -> None:
         ]
         return str(write(tmp_path / name, messages))
 
+    zero = read_trajectory(bag("zero", [0, 0, 0]))
+    assert zero.stamps.tolist() == [0, 1, 2]  # the log times
+    (remark,) = [item for item in zero.reading.remarks if item.code == "log_times"]
+    assert remark.level is Level.WARNING
     with pytest.raises(InputError, match=r"header\.stamp: all timestamps are zero"):
-        read_trajectory(bag("zero", [0, 0, 0]))
+        read_trajectory(bag("one message", [0]))
     with pytest.raises(InputError, match=r"all timestamps \(3\) are equal"):
         read_trajectory(bag("same", [10**18] * 3))
     some = read_trajectory(bag("some", [0, 10**18, 10**18 + 1, 10**18 + 2]))

@@ -94,7 +94,7 @@ def test_velocity_without_twist_and_covariance_of_zeros_are_unknown(
     assert read.velocities is None
     assert read.covariances is None
     assert any(
-        "/odom is the only topic with poses" in note for note in read.reading.said(Level.NOTE)
+        "/odom is the only topic with poses" in note for note in read.reading.messages(Level.NOTE)
     )
 
 
@@ -153,7 +153,7 @@ def test_a_change_of_frame_is_noted(tmp_path: Path) -> None:
     read = read_trajectory(str(write(tmp_path / "bag", messages)))
     assert any(
         "frame_id changes from" in note and "pose 3" in note
-        for note in read.reading.said(Level.NOTE)
+        for note in read.reading.messages(Level.NOTE)
     )
 
 
@@ -209,7 +209,7 @@ def test_a_directory_without_good_metadata(
         (bag / "metadata.yaml").write_text(metadata)
     read = read_trajectory(str(bag))
     assert len(read) == 20
-    assert any("metadata.yaml ignored" in note for note in read.reading.said(Level.NOTE)) == (
+    assert any("metadata.yaml ignored" in note for note in read.reading.messages(Level.NOTE)) == (
         metadata is not None
     )
 

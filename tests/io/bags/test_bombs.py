@@ -87,8 +87,8 @@ def test_a_chunk_that_becomes_much_is_left_out(has_summary: bool, tmp_path: Path
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert rows_of(read) == list(range(20))
-    assert "a chunk has a compression ratio above 500" in read.reading.said(Level.ERROR)[0]
-    assert "3 times" in read.reading.said(Level.ERROR)[0]
+    assert "a chunk has a compression ratio above 500" in read.reading.messages(Level.ERROR)[0]
+    assert "3 times" in read.reading.messages(Level.ERROR)[0]
     assert peak < 20 * MIB
 
 

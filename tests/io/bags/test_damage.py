@@ -61,7 +61,7 @@ def test_a_chunk_that_is_cut_off_gives_its_first_messages(
     read = read_trajectory(str(path))
     assert 0.3 * COUNT < len(read) < COUNT
     assert rows_of(read) == list(range(len(read)))
-    [said] = read.reading.said(Level.ERROR)
+    [said] = read.reading.messages(Level.ERROR)
     assert f"plus {len(read)} messages of the cut chunk" in said
 
 
@@ -118,7 +118,7 @@ def test_hostile_sizes_take_no_memory(
                 with pytest.raises(InputError):
                     read_trajectory(str(path), strict=True)
             else:
-                assert read_trajectory(str(path)).reading.said(Level.ERROR)
+                assert read_trajectory(str(path)).reading.messages(Level.ERROR)
 
 
 @pytest.mark.parametrize("size", [0, 21])
@@ -184,7 +184,7 @@ def test_a_message_that_is_not_what_its_index_says(place: int, name: str, tmp_pa
     read = read_trajectory(f"{path}:/pose")
     assert any(
         "a chunk does not match its checksum" in sentence
-        for sentence in read.reading.said(Level.ERROR)
+        for sentence in read.reading.messages(Level.ERROR)
     ), name
     assert 0.9 * COUNT < len(read) < COUNT
 
@@ -209,7 +209,7 @@ def test_two_hundred_places_to_cut(compression: Any, chunked: bool, tmp_path: Pa
             continue
         read = read_trajectory(str(path))
         assert rows_of(read) == list(range(len(read)))
-        assert read.reading.said(Level.ERROR)
+        assert read.reading.messages(Level.ERROR)
     assert refused < 100
 
 

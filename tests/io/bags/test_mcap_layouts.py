@@ -92,7 +92,7 @@ def test_strict_opens_chunks_that_their_index_says_hold_nothing(
     assert len(read) == COUNT - EACH
     assert (
         f"declares {COUNT} messages on /pose, but {COUNT - EACH} were read"
-        in read.reading.said(Level.ERROR)[0]
+        in read.reading.messages(Level.ERROR)[0]
     )
 
 
@@ -153,7 +153,7 @@ def test_records_between_chunks_that_cannot_be_followed_lose_no_other(tmp_path: 
     path.write_bytes(content.replace(b"\x42\x10\0\0", b"\x42\xff\xff\xff"))
     read = read_trajectory(str(path))
     assert rows_of(read) == list(range(COUNT))
-    assert "are not readable" in read.reading.said(Level.ERROR)[0]
+    assert "are not readable" in read.reading.messages(Level.ERROR)[0]
     with pytest.raises(InputError, match="are not readable"):
         read_trajectory(str(path), strict=True)
 
@@ -187,7 +187,7 @@ def test_a_summary_that_contradicts_itself_is_not_used(tmp_path: Path) -> None:
         read = read_trajectory(str(path))
         assert rows_of(read) == list(range(COUNT))
         assert any(
-            "is inconsistent" in sentence for sentence in read.reading.said(Level.ERROR)
+            "is inconsistent" in sentence for sentence in read.reading.messages(Level.ERROR)
         ) == (wrong != twice)
 
 

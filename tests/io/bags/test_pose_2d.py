@@ -27,7 +27,7 @@ def check(read: Trajectory) -> None:
     assert read.rotations is not None
     expected = Rotation.from_rotvec([[0.0, 0.0, theta] for theta in PLACES[:, 2]])
     assert (read.rotations * expected.inv()).magnitude().max() < 1e-14
-    assert any("log times used" in note for note in read.reading.said(Level.NOTE))
+    assert any("log times used" in note for note in read.reading.messages(Level.NOTE))
 
 
 def test_a_pose_in_a_plane_has_the_time_of_its_recording(tmp_path: Path) -> None:

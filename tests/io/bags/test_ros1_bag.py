@@ -69,7 +69,7 @@ def damaged(path: Path, place: int, content: bytes) -> Path:
 def lost_of(path: Path, *words: str) -> Trajectory:
     """Read a topic; check that its damage is told, and that it is refused strictly."""
     read = read_trajectory(f"{path}:/a")
-    said = "; ".join(read.reading.said(Level.ERROR))
+    said = "; ".join(read.reading.messages(Level.ERROR))
     for word in (*words, f"declares {COUNT} messages on /a, but {len(read)} were read"):
         assert word in said
     with pytest.raises(InputError):
@@ -205,7 +205,7 @@ def test_chunks_that_the_index_omits_are_reported(tmp_path: Path) -> None:
     path.write_bytes(header)
     trajectory = read_trajectory(f"{path}:/a")
     assert 0 < COUNT - len(trajectory) <= max(last.connection_counts.values())
-    assert "does not list 1 chunk" in " ".join(trajectory.reading.said(Level.ERROR))
+    assert "does not list 1 chunk" in " ".join(trajectory.reading.messages(Level.ERROR))
     with pytest.raises(InputError, match="does not list 1 chunk"):
         read_trajectory(f"{path}:/a", strict=True)
 

@@ -145,4 +145,4 @@ def test_one_definition_is_missing(tmp_path: Path) -> None:
     database.close()
     read = read_trajectory(str(path))
     assert rows_of(read) == list(range(COUNT))
-    assert not read.reading.said(Level.ERROR)
+    assert not read.reading.messages(Level.ERROR)

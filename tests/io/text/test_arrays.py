@@ -98,6 +98,8 @@ def test_columns_of_an_array_can_be_named(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.positions, FLIGHT.positions)
     with pytest.raises(InputError, match=r"shape \(\d+, 8\), and --columns names 9 columns"):
         read_trajectory(path, hints=SideHints.of("t x y z qw qx qy qz received", None).estimate)
+    with pytest.raises(InputError, match="has numbers, and no dates"):
+        read_trajectory(path, hints=SideHints.of("date x y z", None).estimate)
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def test_nmea_s_quality(quality: int, status: int | None, tmp_path: Path) -> Non
     found = read_trajectory(file)
     assert found.reading.fixes is not None
     assert set(found.reading.fixes.status.tolist()) == {status}
-    assert any("1970-01-01" in note for note in found.reading.said(Level.NOTE))
+    assert any("1970-01-01" in note for note in found.reading.messages(Level.NOTE))
 
 
 def test_southern_and_western_places(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def test_a_line_without_a_valid_date_is_passed_over(wrong: str, tmp_path: Path) 
     file.write_text("\n".join(lines))
     undated = read_trajectory(file)
     assert undated.stamps[0] == 0
-    assert any("1970-01-01" in note for note in undated.reading.said(Level.NOTE))
+    assert any("1970-01-01" in note for note in undated.reading.messages(Level.NOTE))
     file.write_text("\n".join([*lines, sentence("GPZDA,000004,05,06,2025,00,00")]))
     day = int(datetime(2025, 6, 5, tzinfo=timezone.utc).timestamp())
     np.testing.assert_array_equal(read_trajectory(file).stamps, (day + np.arange(5)) * 10**9)
@@ -183,7 +183,7 @@ def test_days_of_nmea_follow_from_the_line_with_a_date(
     lines.insert(place, sentence(dated))
     found = fixes_in(tmp_path / "x.nmea", *lines)
     assert found.stamps.tolist() == [(begin + 2 * row) * 10**9 for row in range(6)]
-    assert not found.reading.said(Level.NOTE)[1:]
+    assert not found.reading.messages(Level.NOTE)[1:]
 
 
 @pytest.mark.parametrize(("step", "days"), [(43_200, 0), (43_201, 1)])

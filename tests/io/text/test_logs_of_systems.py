@@ -70,7 +70,7 @@ def test_the_log_of_fast_lio_has_rotation_vectors(tmp_path: Path) -> None:
     check(found, (0.1 * np.arange(COUNT)).tolist())
     assert found.velocities is not None
     np.testing.assert_array_equal(found.velocities[0], [1.0, 2.0, 3.0])
-    assert "log of FAST-LIO" in "; ".join(found.reading.said(Level.NOTE))
+    assert "log of FAST-LIO" in "; ".join(found.reading.messages(Level.NOTE))
 
 
 def test_angles_of_point_lio_are_no_rotation_vectors(tmp_path: Path) -> None:
@@ -112,7 +112,8 @@ def test_frame_numbers_use_the_times_in_the_folder(tmp_path: Path, name: str) ->
     write(tmp_path / name, [f"{time:.9f}" for time in every])
     found = read_trajectory(path)
     check(found)
-    assert f"timestamps read from {tmp_path / name}" in "; ".join(found.reading.said(Level.NOTE))
+    notes = "; ".join(found.reading.messages(Level.NOTE))
+    assert f"timestamps read from {tmp_path / name}" in notes
 
 
 def test_times_in_the_folder_are_not_of_a_file_with_timestamps(tmp_path: Path) -> None:
@@ -131,7 +132,7 @@ def test_frame_numbers_of_an_array_use_the_times_in_the_folder(tmp_path: Path) -
     write(tmp_path / "times.txt", [f"{time:.9f}" for time in every])
     found = read_trajectory(tmp_path / "poses.npy")
     check(found)
-    assert "float32" in "; ".join(found.reading.said(Level.NOTE))
+    assert "float32" in "; ".join(found.reading.messages(Level.NOTE))
 
 
 def columns(*parts: object, digits: int) -> list[str]:

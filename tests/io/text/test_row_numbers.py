@@ -26,7 +26,7 @@ def read(path: Path, *lines: str, **hints: Any) -> Trajectory:
 
 
 def said(found: Trajectory) -> str:
-    return "; ".join(found.reading.said(Level.NOTE))
+    return "; ".join(found.reading.messages(Level.NOTE))
 
 
 def test_rows_without_times_are_counted_by_a_rate(tmp_path: Path) -> None:

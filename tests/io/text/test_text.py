@@ -92,7 +92,7 @@ def test_every_layout_gives_the_same_poses(layout: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(trajectory.positions, POSITIONS)
     assert trajectory.rotations is not None
     assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() <= SAME_ROTATION_RAD
-    assert any("nanoseconds" in note for note in trajectory.reading.said(Level.NOTE)) == (
+    assert any("nanoseconds" in note for note in trajectory.reading.messages(Level.NOTE)) == (
         IN_NANOSECONDS[0] in LAYOUTS[layout]
     )
     if repr(VELOCITIES[1, 1].item()) in LAYOUTS[layout] and trajectory.velocities is not None:
@@ -124,8 +124,30 @@ def test_a_guessed_order_of_the_quaternion_is_said(tmp_path: Path) -> None:
     path.write_text(LAYOUTS["vins-mono"])
     assert any(
         "assumed qw qx qy qz" in note
-        for note in read_trajectory(str(path)).reading.said(Level.NOTE)
+        for note in read_trajectory(str(path)).reading.messages(Level.NOTE)
     )
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "order"),
+    [
+        (1_700_000_000_000_000_000, 50_000_000, "qw qx qy qz"),  # nanoseconds since 1970
+        (6_000_000_000, 50_000_000, "qw qx qy qz"),  # nanoseconds since the start of a clock
+        (1_700_000_000_000_000, 50_000, "qx qy qz qw"),  # microseconds
+        (1_700_000_000, 1, "qx qy qz qw"),  # seconds
+        (0, 1, "qx qy qz qw"),
+    ],
+)
+def test_unit_of_time_decides_the_order_of_eight_columns_with_commas(
+    first: int, step: int, order: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("".join(f"{first + step * row},{row},2,3,0.8,0,0,0.6\n" for row in range(9)))
+    read = read_trajectory(path)
+    assert read.quaternions is not None
+    expected = [0.0, 0.0, 0.6, 0.8] if order.startswith("qw") else [0.8, 0.0, 0.0, 0.6]
+    np.testing.assert_allclose(read.quaternions[0], expected)
+    assert f"assumed {order}" in " ".join(read.reading.said(Level.WARNING))
 
 
 def test_openvins_covariance_is_turned_into_the_world(tmp_path: Path) -> None:
@@ -159,7 +181,7 @@ def test_kitti_takes_its_times_from_beside_it(name: str, tmp_path: Path) -> None
     trajectory = read_trajectory(str(tmp_path / "poses.txt"))
     assert trajectory.stamps.tolist() == [0, 103735900, 207338100]
     assert trajectory.reading.stamped
-    assert any(name in note for note in trajectory.reading.said(Level.NOTE))
+    assert any(name in note for note in trajectory.reading.messages(Level.NOTE))
     assert trajectory.rotations is not None
     assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() <= SAME_ROTATION_RAD
 
@@ -172,7 +194,7 @@ def test_kitti_without_times_that_fit_counts_rows(times: str | None, tmp_path: P
     trajectory = read_trajectory(str(tmp_path / "poses.txt"))
     assert trajectory.stamps.tolist() == [0, 10**9, 2 * 10**9]
     assert not trajectory.reading.stamped
-    assert any("no timestamps" in note for note in trajectory.reading.said(Level.NOTE))
+    assert any("no timestamps" in note for note in trajectory.reading.messages(Level.NOTE))
 
 
 def test_kitti_with_an_index_or_a_time(tmp_path: Path) -> None:
@@ -197,7 +219,8 @@ def test_positions_alone_have_no_rotations(
     path.write_text(table(*columns, times=IN_SECONDS))
     trajectory = read_trajectory(str(path))
     assert trajectory.rotations is None
-    assert any("rotation metrics withheld" in note for note in trajectory.reading.said(Level.NOTE))
+    notes = trajectory.reading.messages(Level.NOTE)
+    assert any("rotation metrics withheld" in note for note in notes)
 
 
 def test_a_placeholder_identity_is_no_reason_to_withhold(tmp_path: Path) -> None:
@@ -222,7 +245,7 @@ def test_long_quaternions_are_normalised_and_said(tmp_path: Path) -> None:
     trajectory = read_trajectory(str(path))
     assert trajectory.rotations is not None
     assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() <= SAME_ROTATION_RAD
-    assert any("normalised" in note for note in trajectory.reading.said(Level.NOTE))
+    assert any("normalised" in note for note in trajectory.reading.messages(Level.NOTE))
 
 
 def test_one_pose_can_be_read(tmp_path: Path) -> None:

@@ -113,14 +113,15 @@ def test_other_columns_are_not_taken_for_an_id_or_for_a_quaternion(tmp_path: Pat
             read(tmp_path / "t.csv", text.replace(",", " "))
     with_id = read(tmp_path / "t.csv", rows(["7", "8", "9"], times, POSITIONS, XYZW))
     np.testing.assert_allclose(with_id.positions, POSITIONS)
-    assert "the first of 9 columns is an id" in with_id.reading.said(Level.NOTE)
+    assert "the first of 9 columns is an id" in with_id.reading.messages(Level.NOTE)
 
 
 def test_columns_that_are_not_used_are_said(tmp_path: Path) -> None:
-    notes = read(tmp_path / "t.csv", TABLES["text between"]).reading.said(Level.NOTE)
+    notes = read(tmp_path / "t.csv", TABLES["text between"]).reading.messages(Level.NOTE)
     assert "ignored columns: name" in notes
     trajectopy = read(tmp_path / "u.csv", TABLES["trajectopy"])
-    assert {"format: trajectopy", "ignored columns: l"} <= set(trajectopy.reading.said(Level.NOTE))
+    notes = set(trajectopy.reading.messages(Level.NOTE))
+    assert {"format: trajectopy", "ignored columns: l"} <= notes
     np.testing.assert_array_equal(trajectopy.velocities, VELOCITIES)
 
 
@@ -130,7 +131,7 @@ def test_calendar_dates_are_utc(separator: str, tmp_path: Path) -> None:
     dates = [second.replace("T", separator) for second in seconds]
     found = read(tmp_path / "t.csv", "date,x,y,z,qx,qy,qz,qw\n" + rows(dates, POSITIONS, XYZW))
     assert is_the_pose(found)
-    assert "dates read as UTC" in found.reading.said(Level.NOTE)
+    assert "dates read as UTC" in found.reading.messages(Level.NOTE)
 
 
 def test_angles_in_degrees_are_not_taken_for_radians(tmp_path: Path) -> None:
@@ -214,14 +215,14 @@ def test_smfeval_has_covariances_of_body_twists(tmp_path: Path) -> None:
     turn[:, :3, :3] = turn[:, 3:, 3:] = ROTATIONS.as_matrix()
     expected = turn @ COVARIANCES @ np.swapaxes(turn, 1, 2)
     np.testing.assert_allclose(found.covariances, expected, atol=1e-12)
-    assert any("body twists" in note for note in found.reading.said(Level.NOTE))
+    assert any("body twists" in note for note in found.reading.messages(Level.NOTE))
     head = "#%SQUARE 1\n#%TANGENT_CONVENTION {}\n"
     said = read(tmp_path / "u.txt", head.format("right_perturbation") + text)
     np.testing.assert_array_equal(said.covariances, found.covariances)
-    assert not any("body twists" in note for note in said.reading.said(Level.NOTE))
+    assert not any("body twists" in note for note in said.reading.messages(Level.NOTE))
     other = read(tmp_path / "v.txt", head.format("left_perturbation") + text)
     assert other.covariances is None
-    assert any("covariances dropped" in note for note in other.reading.said(Level.NOTE))
+    assert any("covariances dropped" in note for note in other.reading.messages(Level.NOTE))
 
 
 def test_tartanair_has_a_rate_or_counts(tmp_path: Path) -> None:
@@ -230,7 +231,7 @@ def test_tartanair_has_a_rate_or_counts(tmp_path: Path) -> None:
     assert is_the_pose(counted, [0, 10**9, 2 * 10**9])
     assert not counted.reading.stamped
     assert counted.up.name == "-z"
-    assert any("--frame-rate" in note for note in counted.reading.said(Level.NOTE))
+    assert any("--frame-rate" in note for note in counted.reading.messages(Level.NOTE))
     timed = read(tmp_path / "pose_left.txt", text, frame_rate_hz=30.0)
     assert is_the_pose(timed, [0, 33_333_333, 66_666_667])
     assert timed.reading.stamped

@@ -24,6 +24,8 @@ from trajeval_ros.calibration.significance import (
 )  # fmt: skip
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans
+from trajeval_ros.metrics.discontinuities import events as kinds
+from trajeval_ros.metrics.discontinuities.events import Event
 
 INCONCLUSIVE = "inconclusive"
 # Half width of a 95 % interval in standard deviations: Student's t with 11 degrees of freedom.
@@ -67,6 +69,15 @@ PARAMETERS = {
         "({width} deg at 95 %) against gravity.",
     ),
 }  # fmt: skip
+# Noun, kinds of events and advice by cause, of poses without an IMU.
+_DROP = "; evaluate with --drop-groundtruth-outliers"
+_EVENTS = {
+    "steps": ("step", (kinds.STEP, kinds.LOST), ""),
+    "outliers": ("outlier", (kinds.OUTLIER,), _DROP),
+    "flips": ("flip", (kinds.FLIP,), _DROP),
+    "lasting_flips": ("flip that stays", (kinds.FLIP_STAYS,), ""),
+    "clock_steps": ("clock step", (kinds.CLOCK_STEP,), "; evaluate with --correct clock_step"),
+}
 _MISSING, _HELD, _OUTLIERS, _UNEVEN = 1.0, 2.0, 0.5, 10.0  # %
 _JITTER_MS, _JITTER_SIGMAS = 0.2, 4.0
 
@@ -162,6 +173,30 @@ def sample_causes(
         _found(name, value, unit, sentence, found=value > limit)
         for name, value, unit, limit, sentence in rows
     ]
+
+
+def discontinuity_causes(events: Sequence[Event], origin: int) -> Iterator[GroundtruthCause]:
+    """Yield the verdicts on steps of the poses and the clock; times count from `origin`, ns."""
+    for name, (noun, of_kinds, advice) in _EVENTS.items():
+        group = [event for event in events if event.kind in of_kinds]
+        largest = max(group, key=lambda event: (event.ratio, abs(event.s)), default=None)
+        sentence = ""
+        if largest is not None:
+            sizes = [
+                text
+                for value, text in (
+                    (largest.m, f"{largest.m:.2f} m"),
+                    (largest.deg, f"{largest.deg:.0f} deg"),
+                    (largest.s * (name == "clock_steps"), f"{largest.s:+.3f} s"),
+                )
+                if value
+            ]
+            which = "" if len(group) == 1 else "; the largest is"
+            sentence = (
+                f"{counted(len(group), noun)} of {'up to ' * (len(group) > 1)}"
+                f"{' and '.join(sizes)}{which} at {(largest.t_ns - origin) / 1e9:.2f} s{advice}."
+            )
+        yield _found(name, len(group), "", sentence, found=bool(group))
 
 
 def _of_residuals(checks: ResidualChecks, origin: int) -> Iterator[_Row]:

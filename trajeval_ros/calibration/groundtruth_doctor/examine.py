@@ -46,6 +46,8 @@ from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.discontinuities.events import GROUNDTRUTH
+from trajeval_ros.metrics.discontinuities.recorded import own_discontinuities
 
 # Effective densities: those of data sheets are too small on real recordings (vibration, scale).
 IMU_NOISE = ImuNoise(8e-4, 2e-2)
@@ -133,11 +135,13 @@ def examine(
     first = int(groundtruth.stamps.min())
     if readings is None:
         checks = check_poses(groundtruth, None, first)
-        causes = {
-            sample_cause.name: sample_cause
-            for sample_cause in doctor_causes.sample_causes(checks, None, first)
-        }
-        return ExaminedGroundtruth(causes, checks, None, tuple(_notes(checks)))
+        events = own_discontinuities(groundtruth, GROUNDTRUTH)
+        causes = [
+            *doctor_causes.discontinuity_causes(events, first),
+            *doctor_causes.sample_causes(checks, None, first),
+        ]
+        by_name = {cause.name: cause for cause in causes}
+        return ExaminedGroundtruth(by_name, checks, None, tuple(_notes(checks)))
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
 
 

@@ -99,14 +99,14 @@ class Bag:
                 }
                 if not selections:
                     continue
-                wanted_by: dict[int, list[TopicReading]] = {}
+                readings_by: dict[int, list[TopicReading]] = {}
                 for selection, reading in selections.items():
                     for item in selection.connections:
-                        wanted_by.setdefault(item, []).append(reading)
+                        readings_by.setdefault(item, []).append(reading)
                 for block in merged(container.blocks(tuple(selections))):
                     for plain in block.decompressed():
                         for connection, messages in plain.by_connection():
-                            for reading in wanted_by[connection]:
+                            for reading in readings_by[connection]:
                                 reading.count += len(messages)
                                 done += len(messages)
                                 yield reading, (id(container), connection), messages
@@ -144,14 +144,14 @@ class Bag:
         with _one_sentence(self.path):
             streams = []
             for container in self._containers:
-                wanted = {
+                requested = {
                     connection: topic
                     for topic in topics
                     for connection in topic.connections_in(container)
                 }
-                if wanted:
-                    selections.append(TopicSelection(frozenset(wanted)))
-                    streams.append(self._stream(container, selections[-1], wanted, begin, end))
+                if requested:
+                    selections.append(TopicSelection(frozenset(requested)))
+                    streams.append(self._stream(container, selections[-1], requested, begin, end))
             for message in heapq.merge(*streams, key=itemgetter(1)):
                 yield message
                 done += 1
@@ -168,7 +168,7 @@ class Bag:
     def _stream(
         container: Container,
         selection: TopicSelection,
-        wanted: dict[int, Topic],
+        requested: dict[int, Topic],
         begin: int | None,
         end: int | None,
     ) -> Iterator[tuple[Topic, int, bytes]]:
@@ -176,7 +176,7 @@ class Bag:
         blocks = container.blocks([selection], begin, end, in_order=True)
         plain = itertools.chain.from_iterable(block.decompressed() for block in blocks)
         for connection, log_time, payload in in_order(plain):
-            yield wanted[connection], log_time, payload
+            yield requested[connection], log_time, payload
 
     def _missing(self, topics: Sequence[Topic], done: int) -> list[str]:
         """Return one sentence if fewer or more messages were read than the bag declares."""
@@ -191,14 +191,14 @@ class Bag:
 
     def find(self, name: str) -> list[Topic]:
         """Return the topics of that name, one per type."""
-        found = [topic for topic in self.topics if topic.name == name]
-        if any(topic.lacks_protobuf for topic in found):
+        matches = [topic for topic in self.topics if topic.name == name]
+        if any(topic.lacks_protobuf for topic in matches):
             raise InputError(
                 f"{self.path}: {name} is in protobuf, which needs an extra; install it: "
                 f"{extra_command(foxglove.EXTRA)}"
             )
-        if found:
-            return found
+        if matches:
+            return matches
         names = {topic.name for topic in self.topics}
         raise InputError(f"{self.path} has no topic {name}; it has {nearest(name, names)}")
 
@@ -237,8 +237,8 @@ class Bag:
             if self.path.is_file() or isinstance(error, PermissionError):
                 raise
             self._unread.append(error)
-            said = str(error) if isinstance(error, InputError) else _sentence(error)
-            self.damage.append(f"{file.name} skipped: {said}")
+            reason = str(error) if isinstance(error, InputError) else _sentence(error)
+            self.damage.append(f"{file.name} skipped: {reason}")
             return
         self._stack.callback(container.close)
         self._containers.append(container)
@@ -266,5 +266,7 @@ def _one_sentence(path: Path) -> Iterator[None]:
 
 def _sentence(error: Exception) -> str:
     """Return the message of an exception as one line."""
-    said = " ".join(str(error).split()).rstrip(".")
-    return said[:300] if " " in said else f"it is damaged ({type(error).__name__} {said[:100]})"
+    reason = " ".join(str(error).split()).rstrip(".")
+    return (
+        reason[:300] if " " in reason else f"it is damaged ({type(error).__name__} {reason[:100]})"
+    )

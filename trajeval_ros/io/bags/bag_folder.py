@@ -53,9 +53,9 @@ class Metadata:
 
 def read_metadata(path: Path) -> Metadata:
     """Return the contents of a metadata.yaml."""
-    found = read_mapping(path, "information about a bag", is_generated=True)
+    information = read_mapping(path, "information about a bag", is_generated=True)
     try:
-        content = found["rosbag2_bagfile_information"]
+        content = information["rosbag2_bagfile_information"]
         paths = content["relative_file_paths"]
         if not isinstance(paths, list) or not all(isinstance(item, str) for item in paths):
             raise TypeError("no paths")
@@ -89,13 +89,13 @@ class BagFolder:
     @classmethod
     def of(cls, path: Path) -> BagFolder:
         """Look at a directory."""
-        found = [file for ending in _ENDINGS for file in path.glob(f"*{ending}")]
+        candidates = [file for ending in _ENDINGS for file in path.glob(f"*{ending}")]
         files = sorted(
-            filter(Path.is_file, found),  # a pipe blocks
+            filter(Path.is_file, candidates),  # a pipe blocks
             key=lambda file: natural_key(file.name),
         )
         described, metadata = path / _METADATA, None
-        notes = tuple(f"{item} skipped: not a file" for item in found if item not in files)
+        notes = tuple(f"{item} skipped: not a file" for item in candidates if item not in files)
         damage: tuple[str, ...] = ()
         if described.is_file():
             try:
@@ -104,13 +104,13 @@ class BagFolder:
                 notes += (f"{error}; {described.name} ignored",)
         listed: set[str] = set()
         if metadata is not None:
-            said, damage = _judged(path, metadata)
-            notes += said
+            notices, damage = _judged(path, metadata)
+            notes += notices
             listed = {item.name for item in metadata.files}
-            wanted = set(map(_plain, listed))
-            others = [file for file in files if _plain(file.name) not in wanted]
+            listed_names = set(map(_plain, listed))
+            others = [file for file in files if _plain(file.name) not in listed_names]
             if len(others) < len(files):
-                series = set(map(_series, wanted))
+                series = set(map(_series, listed_names))
                 files = [file for file in files if _series(file.name) in series]
                 notes += tuple(
                     f"{described} does not list {file.name}, {_READ if file in files else _UNREAD}"

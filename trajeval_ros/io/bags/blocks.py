@@ -126,8 +126,8 @@ class Block:
             buffer = gather(self.buffer, self.begins, bytes_type(size)).view(np.uint8)
             return replace(self, buffer=buffer, begins=np.arange(len(self)) * size)
         payloads = list(self.payloads())
-        own = block_of(self.connections, self.log_times, payloads)
-        return replace(own, earliest=self.earliest, publish_times=self.publish_times)
+        block = block_of(self.connections, self.log_times, payloads)
+        return replace(block, earliest=self.earliest, publish_times=self.publish_times)
 
     def payloads(self) -> Iterator[memoryview]:
         """Yield the serialised messages."""
@@ -245,8 +245,8 @@ def all_connections(selections: Sequence[TopicSelection]) -> frozenset[int]:
     return frozenset().union(*(selection.connections for selection in selections))
 
 
-def are_of(ids: Indices, wanted: Collection[int]) -> Booleans:
+def are_of(ids: Indices, requested: Collection[int]) -> Booleans:
     """Return which of the ids (N,) are of some connections."""
-    if len(wanted) == 1:  # takes a tenth of the time of isin
-        return np.asarray(ids == next(iter(wanted)))
-    return np.isin(ids, list(wanted))
+    if len(requested) == 1:  # takes a tenth of the time of isin
+        return np.asarray(ids == next(iter(requested)))
+    return np.isin(ids, list(requested))

@@ -29,11 +29,11 @@ class CdrPlan:
     """How the requested fields of one type are decoded from serialised messages."""
 
     def __init__(
-        self, fields: Fields, wanted: Collection[str] | None = None, *, is_ros1: bool = False
+        self, fields: Fields, requested: Collection[str] | None = None, *, is_ros1: bool = False
     ) -> None:
         """Prepare to decode.
 
-        `wanted`: paths of fields, such as `header.frame_id`. The path of a nested message with
+        `requested`: paths of fields, such as `header.frame_id`. The path of a nested message with
         numbers of one type, such as `pose.position`, gives one column (N, k). None means one
         column per field.
 
@@ -41,7 +41,7 @@ class CdrPlan:
             UnplannedError: A field does not exist, or is not one column.
         """
         self._is_ros1 = is_ros1
-        names = None if wanted is None else frozenset(wanted)
+        names = None if requested is None else frozenset(requested)
         alignments = (ROS1_ALIGNMENT,) if is_ros1 else (8, XCDR2_ALIGNMENT)
         self._steps = {limit: steps_of(fields, names, limit) for limit in alignments}
 
@@ -87,7 +87,7 @@ class CdrPlan:
 
 
 def plan_with(
-    fields: Fields | None, standard: str, wanted: Collection[str], *, is_ros1: bool
+    fields: Fields | None, standard: str, requested: Collection[str], *, is_ros1: bool
 ) -> CdrPlan:
     """Return how a type is decoded, by its own definition if that has the wanted fields.
 
@@ -95,6 +95,6 @@ def plan_with(
     """
     if fields is not None:
         with contextlib.suppress(UnplannedError):
-            return CdrPlan(fields, wanted, is_ros1=is_ros1)
+            return CdrPlan(fields, requested, is_ros1=is_ros1)
     known = STANDARD[standard]
-    return CdrPlan(ros1_fields(known) if is_ros1 else known, wanted, is_ros1=is_ros1)
+    return CdrPlan(ros1_fields(known) if is_ros1 else known, requested, is_ros1=is_ros1)

@@ -197,18 +197,20 @@ class MessageBatch:
             ends = np.full(len(places), -1)  # -1: not an element
             ends[batch.ids] = batch.at
             proven = ends == places + strides[open_][owners]
-            found = np.minimum.reduceat(np.where(proven, len(places), numbers), firsts) + 1
-            found = np.minimum(found, tried)
-            last = firsts + found - 1
+            element_counts = (
+                np.minimum.reduceat(np.where(proven, len(places), numbers), firsts) + 1
+            )
+            element_counts = np.minimum(element_counts, tried)
+            last = firsts + element_counts - 1
             broken = ends[last] < 0
-            batch._keep((numbers < found[owners])[batch.ids])
+            batch._keep((numbers < element_counts[owners])[batch.ids])
             if step.path is not None:
                 self._sequences[step.path].append(batch)
             good[open_[broken]] = False
             at[open_] = ends[last]
             strides[open_] = ends[last] - places[last]
-            left[open_] = np.where(broken, 0, left[open_] - found)
-            leap = 2 * leap if (found == tried).all() else 1
+            left[open_] = np.where(broken, 0, left[open_] - element_counts)
+            leap = 2 * leap if (element_counts == tried).all() else 1
         self.at = at
         self._keep(good)
 

@@ -97,7 +97,7 @@ class _Leaves:
 
 
 @functools.lru_cache(maxsize=256)
-def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple[Step, ...]:
+def steps_of(fields: Fields, requested: frozenset[str] | None, limit: int) -> tuple[Step, ...]:
     """Return the steps that decode the fields."""
     steps: list[Step] = []
     run: _Leaves | None = None
@@ -108,21 +108,21 @@ def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple
             alignment = min(np.dtype(inner).itemsize, limit)
             # The distances in a run are constant if the first alignment is the largest.
             if run is None or alignment > run.alignment:
-                steps += _finished(run, wanted)
+                steps += _finished(run, requested)
                 run = _Leaves(alignment)
             run.add(path, inner, count, alignment)
             continue
-        steps += _finished(run, wanted)
+        steps += _finished(run, requested)
         run = None
-        is_wanted = wanted is None or path in wanted
+        is_requested = requested is None or path in requested
         if kind == TEXT:
-            steps.append(String(path if is_wanted else None))
+            steps.append(String(path if is_requested else None))
         else:
             assert isinstance(kind, Repeated)
-            steps.append(_elements(path, kind, wanted, limit))
-    steps += _finished(run, wanted)
-    missing = (wanted or frozenset()) - {
-        name for step in steps for name in _found(step, wanted or frozenset())
+            steps.append(_elements(path, kind, requested, limit))
+    steps += _finished(run, requested)
+    missing = (requested or frozenset()) - {
+        name for step in steps for name in _provided(step, requested or frozenset())
     }
     if missing:
         raise UnplannedError(f"no field {', '.join(sorted(missing))} of a single type")
@@ -140,20 +140,22 @@ def _leaves(fields: Fields, prefix: str) -> list[tuple[str, Kind]]:
     return leaves
 
 
-def _elements(path: str, kind: Repeated, wanted: frozenset[str] | None, limit: int) -> Elements:
+def _elements(path: str, kind: Repeated, requested: frozenset[str] | None, limit: int) -> Elements:
     inside: frozenset[str] | None
-    if wanted is None or path in wanted:
+    if requested is None or path in requested:
         inside = None
     else:
-        inside = frozenset(name[len(path) + 1 :] for name in wanted if name.startswith(f"{path}."))
+        inside = frozenset(
+            name[len(path) + 1 :] for name in requested if name.startswith(f"{path}.")
+        )
     fields = kind.kind if isinstance(kind.kind, tuple) else (("", kind.kind),)
     steps = steps_of(fields, inside, limit)
     is_delimited = isinstance(kind.kind, tuple) or kind.kind == TEXT
     smallest = sum(_smallest(step) for step in steps)
     if not smallest:
         raise UnplannedError(f"{path} has no fields")
-    is_wanted = inside is None or bool(inside)
-    return Elements(path if is_wanted else None, steps, kind.count, is_delimited, smallest)
+    is_requested = inside is None or bool(inside)
+    return Elements(path if is_requested else None, steps, kind.count, is_delimited, smallest)
 
 
 def _smallest(step: Step) -> int:
@@ -165,13 +167,15 @@ def _smallest(step: Step) -> int:
     return 4
 
 
-def _finished(run: _Leaves | None, wanted: frozenset[str] | None) -> list[Step]:
+def _finished(run: _Leaves | None, requested: frozenset[str] | None) -> list[Step]:
     """Return a run as a step, with its wanted columns."""
     if run is None:
         return []
-    names = [leaf.path for leaf in run.leaves] if wanted is None else wanted
-    found = (_column(run, name) for name in names)
-    columns = sorted((item for item in found if item is not None), key=lambda item: item.offset)
+    names = [leaf.path for leaf in run.leaves] if requested is None else requested
+    candidates = (_column(run, name) for name in names)
+    columns = sorted(
+        (item for item in candidates if item is not None), key=lambda item: item.offset
+    )
     spans: list[list[Column]] = []
     for column in columns:
         if spans and column.offset - spans[-1][-1].end <= _CLOSE:
@@ -183,19 +187,19 @@ def _finished(run: _Leaves | None, wanted: frozenset[str] | None) -> list[Step]:
 
 def _column(run: _Leaves, name: str) -> Column | None:
     """Return the column of that name in a run: a leaf, or leaves of one kind in a row."""
-    own = [leaf for leaf in run.leaves if leaf.path == name or leaf.path.startswith(f"{name}.")]
-    if not own:
+    leaves = [leaf for leaf in run.leaves if leaf.path == name or leaf.path.startswith(f"{name}.")]
+    if not leaves:
         return None
-    if own[0].path == name:
-        return own[0]
-    size = np.dtype(own[0].type).itemsize
+    if leaves[0].path == name:
+        return leaves[0]
+    size = np.dtype(leaves[0].type).itemsize
     in_a_row = [
-        dataclasses.replace(own[0], path=leaf.path, offset=own[0].offset + number * size)
-        for number, leaf in enumerate(own)
+        dataclasses.replace(leaves[0], path=leaf.path, offset=leaves[0].offset + number * size)
+        for number, leaf in enumerate(leaves)
     ]
-    if own != in_a_row or own[0].shape:
+    if leaves != in_a_row or leaves[0].shape:
         return None
-    return Column(name, own[0].offset, own[0].type, (len(own),))
+    return Column(name, leaves[0].offset, leaves[0].type, (len(leaves),))
 
 
 def _span(columns: list[Column]) -> Span:
@@ -214,7 +218,7 @@ def _span(columns: list[Column]) -> Span:
     return Span(begin, tuple(column.path for column in columns), types)
 
 
-def _found(step: Step, wanted: frozenset[str]) -> set[str]:
+def _provided(step: Step, requested: frozenset[str]) -> set[str]:
     """Return the requested paths that a step decodes."""
     if isinstance(step, FixedFields):
         return {path for span in step.spans for path in span.columns}
@@ -222,4 +226,4 @@ def _found(step: Step, wanted: frozenset[str]) -> set[str]:
         return set()
     if isinstance(step, String):
         return {step.path}
-    return {name for name in wanted if name == step.path or name.startswith(f"{step.path}.")}
+    return {name for name in requested if name == step.path or name.startswith(f"{step.path}.")}

@@ -108,8 +108,8 @@ class Topic:
     @property
     def holds_poses(self) -> bool:
         """Whether its messages are poses."""
-        own = (*PX4_POSE_TYPES, POSE_2D, foxglove.POSE_TYPE, foxglove.FIX_TYPE)
-        return self.type in (*POSE_TYPES, *own) and self._is_readable
+        others = (*PX4_POSE_TYPES, POSE_2D, foxglove.POSE_TYPE, foxglove.FIX_TYPE)
+        return self.type in (*POSE_TYPES, *others) and self._is_readable
 
     @property
     def fields(self) -> Fields:

@@ -73,16 +73,16 @@ class FoxglovePlan:
         """Return the columns of messages in a buffer; see `CdrPlan.decode_at`."""
         whole = memoryview(buffer.data)
         good: list[int] = []
-        found: list[list[_Row]] = []
+        parsed: list[list[_Row]] = []
         for row, (begin, size) in enumerate(zip(begins.tolist(), sizes.tolist(), strict=True)):
             try:
-                found.append(self._rows(self._parse(bytes(whole[begin : begin + size]))))
+                parsed.append(self._rows(self._parse(bytes(whole[begin : begin + size]))))
             except (ValueError, AttributeError, TypeError, OverflowError, RecursionError):
                 continue
             good.append(row)
         rows = np.array(good, dtype=np.int64)
-        owners = np.repeat(np.arange(len(good)), [len(item) for item in found])
-        elements = self._columns(owners, list(chain.from_iterable(found)))
+        owners = np.repeat(np.arange(len(good)), [len(item) for item in parsed])
+        elements = self._columns(owners, list(chain.from_iterable(parsed)))
         if self._type not in TRANSFORM_TYPES:
             return replace(elements, rows=rows)
         return Columns(rows, {}, {}, {"transforms": elements})

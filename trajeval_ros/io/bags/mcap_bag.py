@@ -50,21 +50,21 @@ class McapReader:
         self._strict = strict
         self._known: tuple[int, int] | None = None
         try:
-            found, self._known = read_summary(source)
-            self.damage += [f"{source.name}: {item}" for item in found.damage]
+            contents, self._known = read_summary(source)
+            self.damage += [f"{source.name}: {item}" for item in contents.damage]
         except DamagedError as error:
             declared = error.declared if isinstance(error, NoIndexError) else None
-            found = scanned_contents(source, declared)
-            if found.damage or not isinstance(error, NoIndexError):
-                why = "; ".join([*found.damage, str(error)])
-                far = how_far(found.end, source.size, found.in_cut)
+            contents = scanned_contents(source, declared)
+            if contents.damage or not isinstance(error, NoIndexError):
+                why = "; ".join([*contents.damage, str(error)])
+                far = how_far(contents.end, source.size, contents.in_cut)
                 self.damage.append(f"{source.name}: {why}; {far}")
-        if strict and len(found.messages):
+        if strict and len(contents.messages):
             self._verify_data()
-        self._chunks = sorted(found.chunks, key=lambda chunk: chunk.first)
-        self._messages = found.messages
-        self.connections: list[Connection] = found.registry.connections(found.counts, self)
-        self._unverified = dict(found.registry.channels)  # their chunks may name other topics
+        self._chunks = sorted(contents.chunks, key=lambda chunk: chunk.first)
+        self._messages = contents.messages
+        self.connections: list[Connection] = contents.registry.connections(contents.counts, self)
+        self._unverified = dict(contents.registry.channels)  # their chunks may name other topics
 
     @property
     def span(self) -> tuple[int, int] | None:
@@ -92,19 +92,19 @@ class McapReader:
         in_order: bool = False,  # noqa: ARG002  # they always are
     ) -> Iterator[Block]:
         """Yield the messages of some channels, of all selections in one pass over the chunks."""
-        wanted = all_connections(selections)
+        requested = all_connections(selections)
         pieces: list[Piece] = [
             (chunk.first, chunk)
             for chunk in self._chunks
             if (begin is None or chunk.last >= begin or not chunk.indexes)
             and (end is None or chunk.first < end)
-            and (self._strict or chunk.may_hold(wanted))
+            and (self._strict or chunk.may_hold(requested))
         ]
-        pieces += [(int(run.log_times[0]), run) for run in self._runs(wanted)]
+        pieces += [(int(run.log_times[0]), run) for run in self._runs(requested)]
         pieces.sort(key=lambda piece: piece[0])
         lost = {item: Counter[str]() for item in selections}
         partial: Counter[TopicSelection] = Counter()
-        for (_, place), found in zip(pieces, self._loaded(pieces, wanted), strict=True):
+        for (_, place), contents in zip(pieces, self._loaded(pieces, requested), strict=True):
             concerned = [
                 item
                 for item in selections
@@ -112,10 +112,10 @@ class McapReader:
             ]
             for selection in concerned:
                 # If an index lists none of the messages, the declared count shows losses.
-                if found.damage:
-                    lost[selection][found.damage] += 1
-                partial[selection] += found.is_partial
-            if found.block is not None and len(block := found.block.within(begin, end)):
+                if contents.damage:
+                    lost[selection][contents.damage] += 1
+                partial[selection] += contents.is_partial
+            if contents.block is not None and len(block := contents.block.within(begin, end)):
                 yield block
         for selection in selections:
             selection.damage += [
@@ -132,7 +132,9 @@ class McapReader:
                     "checksums not verified; to verify them, use --strict"
                 )
 
-    def _loaded(self, pieces: Sequence[Piece], wanted: Collection[int]) -> Iterator[ChunkMessages]:
+    def _loaded(
+        self, pieces: Sequence[Piece], requested: Collection[int]
+    ) -> Iterator[ChunkMessages]:
         """Yield the messages of the pieces, by threads if this saves time."""
         threads = _ASKED if self._source.is_far else 0
         compressions = {item.compression for _, item in pieces if isinstance(item, Chunk)}
@@ -140,25 +142,25 @@ class McapReader:
             bytes(_KEPT)
         if "zstd" in compressions:  # lz4 takes less time than its threads would
             threads = max(threads, _DECOMPRESSING)
-        load = functools.partial(self._load, wanted)
+        load = functools.partial(self._load, requested)
         if threads:
             return _prefetched(load, pieces, _room_of, threads)
         return map(load, pieces)
 
-    def _load(self, wanted: Collection[int], piece: Piece) -> ChunkMessages:
+    def _load(self, requested: Collection[int], piece: Piece) -> ChunkMessages:
         """Return the wanted messages of a chunk, or messages outside of chunks."""
         _, place = piece
         if isinstance(place, Chunk):
             channels = self._unverified
-            return read_chunk(self._source, place, wanted, channels, strict=self._strict)
+            return read_chunk(self._source, place, requested, channels, strict=self._strict)
         try:
             return ChunkMessages(self._loose(place))
         except DamagedError as error:
             return ChunkMessages(None, str(error))
 
-    def _runs(self, wanted: Collection[int]) -> Iterator[MessageIndex]:
+    def _runs(self, requested: Collection[int]) -> Iterator[MessageIndex]:
         """Yield the requested messages outside of chunks, in runs of one block."""
-        loose = of_channels(self._messages, wanted)
+        loose = of_channels(self._messages, requested)
         loose = loose[np.argsort(loose.log_times, kind="stable")]
         groups = np.cumsum(loose.sizes) // BYTES + np.arange(len(loose)) // ROWS
         breaks = np.flatnonzero(np.diff(groups)) + 1

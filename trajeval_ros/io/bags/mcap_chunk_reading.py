@@ -57,7 +57,7 @@ class ChunkMessages:
 def read_chunk(
     source: ByteSource,
     chunk: Chunk,
-    wanted: Collection[int],
+    requested: Collection[int],
     channels: dict[int, Channel] | None = None,
     *,
     strict: bool,
@@ -69,9 +69,9 @@ def read_chunk(
     indexed = None
     try:
         require_size(chunk)
-        if not strict and not chunk.indexes.keys().isdisjoint(wanted):
+        if not strict and not chunk.indexes.keys().isdisjoint(requested):
             try:
-                indexed = _index_of(source, chunk, wanted)
+                indexed = _index_of(source, chunk, requested)
                 if (runs := _runs_of(chunk, indexed)) is not None:
                     return ChunkMessages(_partial(source, chunk, indexed, runs), is_partial=True)
             except DamagedError:
@@ -81,21 +81,21 @@ def read_chunk(
         return ChunkMessages(None, str(error))
     if indexed is not None:
         with contextlib.suppress(DamagedError):
-            found = _measured(data, indexed, len(data))
-            damage = _renamed(data, chunk, wanted, channels)
-            return ChunkMessages(block_in(data, found, chunk.first), damage)
+            index = _measured(data, indexed, len(data))
+            damage = _renamed(data, chunk, requested, channels)
+            return ChunkMessages(block_in(data, index, chunk.first), damage)
     messages, is_whole = walked(data)
-    found = of_channels(messages, wanted)
+    index = of_channels(messages, requested)
     is_damaged = not is_whole and not chunk.is_cut
     damage = "a chunk has incomplete records" if is_damaged else ""
-    damage = damage or _renamed(data, chunk, wanted, channels)
-    return ChunkMessages(block_in(data, found, chunk.first), damage)
+    damage = damage or _renamed(data, chunk, requested, channels)
+    return ChunkMessages(block_in(data, index, chunk.first), damage)
 
 
 def _renamed(
     data: bytes | memoryview,
     chunk: Chunk,
-    wanted: Collection[int],
+    requested: Collection[int],
     channels: dict[int, Channel] | None,
 ) -> str:
     """Return which topics have another name in a chunk than in the summary, "" if none has.
@@ -103,7 +103,7 @@ def _renamed(
     The search ends when every channel has been seen, in its record or in a message.
     """
     channels = channels or {}
-    names = chunk.indexes.keys() & set(wanted) & channels.keys()
+    names = chunk.indexes.keys() & set(requested) & channels.keys()
     registry = Registry(channels={channel: channels.pop(channel) for channel in names})
     for opcode, offset, length in records(data) if names else ():
         if opcode == CHANNEL:
@@ -115,9 +115,9 @@ def _renamed(
     return "; ".join(registry.damage)
 
 
-def _index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> MessageIndex:
+def _index_of(source: ByteSource, chunk: Chunk, requested: Collection[int]) -> MessageIndex:
     """Return the requested messages of a chunk's message index, with unknown sizes (-1)."""
-    places = {channel: at for channel, at in chunk.indexes.items() if channel in wanted}
+    places = {channel: at for channel, at in chunk.indexes.items() if channel in requested}
     begin = min(places.values())
     end = max(chunk.index_end, max(places.values()) + HEAD + 6)
     data = source.read(begin, min(end - begin, LARGEST))
@@ -127,8 +127,8 @@ def _index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Mess
         if at + HEAD + 6 > len(data):
             raise DamagedError("a message index is truncated")
         opcode, length = head_of(data, at)
-        own, size = struct.unpack_from("<HI", data, at + HEAD)
-        if opcode != MESSAGE_INDEX or own != channel or size + 6 != length or size % 16:
+        owner, size = struct.unpack_from("<HI", data, at + HEAD)
+        if opcode != MESSAGE_INDEX or owner != channel or size + 6 != length or size % 16:
             raise DamagedError("a message index is misplaced")
         if at + HEAD + length > len(data):
             raise DamagedError("a message index is truncated")
@@ -136,16 +136,16 @@ def _index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Mess
         channels.append(np.full(len(entries), channel))
         log_times.append(entries[:, 0])
         offsets.append(entries[:, 1])
-    found = MessageIndex(
+    index = MessageIndex(
         np.concatenate(channels),
         np.concatenate(log_times),
         np.concatenate(offsets),
         np.full(sum(map(len, offsets)), -1),
     )
-    found = found[np.argsort(found.offsets, kind="stable")]
-    if len(found) and (found.offsets[0] < 0 or found.offsets[-1] + RECORD_HEAD > chunk.size):
+    index = index[np.argsort(index.offsets, kind="stable")]
+    if len(index) and (index.offsets[0] < 0 or index.offsets[-1] + RECORD_HEAD > chunk.size):
         raise DamagedError("a message index points outside its chunk")
-    return found
+    return index
 
 
 def _measured(
@@ -208,14 +208,14 @@ def _partial(
         inside = messages
         if len(runs) > 1:
             inside = messages[(messages.offsets >= begin) & (messages.offsets < end)]
-        found = _measured(pieces[number], inside, chunk.size, begin)
-        last = int(found.offsets[-1] + RECORD_HEAD + found.sizes[-1])
+        index = _measured(pieces[number], inside, chunk.size, begin)
+        last = int(index.offsets[-1] + RECORD_HEAD + index.sizes[-1])
         if last > end:
             pieces[number] += source.read(base + end, last - end)
             if len(pieces[number]) != last - begin:
                 raise DamagedError("a chunk is truncated")
-        begins.append(found.offsets + (RECORD_HEAD - begin + total))
-        sizes.append(found.sizes)
+        begins.append(index.offsets + (RECORD_HEAD - begin + total))
+        sizes.append(index.sizes)
         total += len(pieces[number])
     data = b"".join(pieces)
     return block_at(chunk.first, messages, data, np.concatenate(begins), np.concatenate(sizes))

@@ -129,16 +129,16 @@ def walked(
     data: bytes | memoryview, registry: Registry | None = None
 ) -> tuple[MessageIndex, bool]:
     """Return the messages in a chunk's records, and whether all records are complete."""
-    found, end = MessageIndexBuilder(), 0
+    messages, end = MessageIndexBuilder(), 0
     for opcode, offset, length in records(data):
         if opcode == MESSAGE:
             if length < MESSAGE_HEAD:
                 break
-            found.add(data, offset, offset - HEAD, length)
+            messages.add(data, offset, offset - HEAD, length)
         elif registry is not None and opcode in (SCHEMA, CHANNEL):
             registry.add(opcode, data[offset : offset + length])
         end = offset + length
-    return found.done(), end == len(data)
+    return messages.done(), end == len(data)
 
 
 def block_in(data: bytes | memoryview, messages: MessageIndex, earliest: int) -> Block:
@@ -159,6 +159,6 @@ def block_at(
     return Block(earliest, messages.channels, messages.log_times, buffer, begins, sizes, published)
 
 
-def of_channels(messages: MessageIndex, wanted: Collection[int]) -> MessageIndex:
+def of_channels(messages: MessageIndex, channels: Collection[int]) -> MessageIndex:
     """Return the messages of some channels."""
-    return messages[are_of(messages.channels, wanted)]
+    return messages[are_of(messages.channels, channels)]

@@ -71,9 +71,9 @@ class McapContents:
 class _Scan:
     """A scan in progress."""
 
-    def __init__(self, source: ByteSource, found: McapContents) -> None:
+    def __init__(self, source: ByteSource, contents: McapContents) -> None:
         self._source = source
-        self._found = found
+        self._contents = contents
         self._window = ByteWindow(source, _WINDOW)
         self._growing = MessageIndexBuilder()
         self._declared = Declared()  # of the statistics that the scan found
@@ -81,32 +81,32 @@ class _Scan:
 
     def through(self, begin: int, end: int) -> None:
         """Scan a part of the file up to the first invalid record."""
-        found = self._found
-        found.end = begin
-        while found.end < end:
-            head = self._window.at(found.end, _NEAR, end)
+        contents = self._contents
+        contents.end = begin
+        while contents.end < end:
+            head = self._window.at(contents.end, _NEAR, end)
             opcode, length = head_of(head.ljust(HEAD, b"\xff"))
-            if opcode == FOOTER and found.end + FOOTER_SIZE + len(MAGIC) == self._source.size:
+            if opcode == FOOTER and contents.end + FOOTER_SIZE + len(MAGIC) == self._source.size:
                 return
             if opcode in (0, FOOTER):
-                found.damage.append(f"no valid record after byte {found.end}")
+                contents.damage.append(f"no valid record after byte {contents.end}")
                 return
-            is_cut = found.end + HEAD + length > end
+            is_cut = contents.end + HEAD + length > end
             try:
-                self._add(opcode, head, min(HEAD + length, end - found.end), is_cut=is_cut)
+                self._add(opcode, head, min(HEAD + length, end - contents.end), is_cut=is_cut)
             except DamagedError as error:
-                found.damage.append(f"{error} at byte {found.end}")
+                contents.damage.append(f"{error} at byte {contents.end}")
             if is_cut:
                 break
-            found.end += HEAD + length
-        if end < self._source.size and found.end < end:
-            found.damage.append(f"records after byte {found.end} are not readable")
+            contents.end += HEAD + length
+        if end < self._source.size and contents.end < end:
+            contents.damage.append(f"records after byte {contents.end} are not readable")
         elif end == self._source.size:
-            found.damage.append("it is truncated")
+            contents.damage.append("it is truncated")
 
     def _add(self, opcode: int, head: bytes, size: int, *, is_cut: bool) -> None:
         """Add the contents of a record. Records of unknown type are skipped."""
-        offset = self._found.end
+        offset = self._contents.end
         if opcode == CHUNK:
             self.opened.append(chunk_at(self._source, offset, size, is_cut=is_cut))
         elif is_cut:
@@ -117,7 +117,7 @@ class _Scan:
             self._growing.add(head, HEAD, offset, size - HEAD)
         elif opcode in (SCHEMA, CHANNEL):
             record = self._window.at(offset, size, offset + size)
-            self._found.registry.add(opcode, record[HEAD:])
+            self._contents.registry.add(opcode, record[HEAD:])
         elif opcode == STATISTICS:
             record = self._window.at(offset, size, offset + size)
             statistics = _parsed_record(opcode, record[HEAD:])
@@ -125,36 +125,36 @@ class _Scan:
 
     def done(self, declared: Declared | None = None) -> None:
         """Open the chunks without an index, and compare all messages with the declared ones."""
-        found, declared = self._found, declared or self._declared
-        require_budget(self._source, [*found.chunks, *self.opened])
-        found.messages = self._growing.done()
-        counts = Counter(found.messages.channels.tolist())
+        contents, declared = self._contents, declared or self._declared
+        require_budget(self._source, [*contents.chunks, *self.opened])
+        contents.messages = self._growing.done()
+        counts = Counter(contents.messages.channels.tolist())
         for chunk in self.opened:
             try:
-                messages, is_whole = walked(whole(self._source, chunk), found.registry)
+                messages, is_whole = walked(whole(self._source, chunk), contents.registry)
             except DamagedError:
                 continue  # reported when it is read
             if is_whole or chunk.is_cut:
                 chunk.channels = frozenset(messages.channels.tolist())
             counts.update(messages.channels.tolist())
-            found.in_cut += len(messages) if chunk.is_cut else 0
+            contents.in_cut += len(messages) if chunk.is_cut else 0
             if len(messages):
                 chunk.first = int(messages.log_times.min())
                 chunk.last = int(messages.log_times.max())
-        found.chunks += self.opened
-        known = np.fromiter(found.registry.channels, np.int64)
-        found.messages = found.messages[np.isin(found.messages.channels, known)]
+        contents.chunks += self.opened
+        known = np.fromiter(contents.registry.channels, np.int64)
+        contents.messages = contents.messages[np.isin(contents.messages.channels, known)]
         unknown = sum(count for item, count in counts.items() if item not in known)
         if unknown:
-            found.damage.append(f"{counted(unknown, 'message')} of undefined channels")
-        found.damage += found.registry.damage
-        lost = declared.chunks - {chunk.offset for chunk in found.chunks}
+            contents.damage.append(f"{counted(unknown, 'message')} of undefined channels")
+        contents.damage += contents.registry.damage
+        lost = declared.chunks - {chunk.offset for chunk in contents.chunks}
         if lost:
-            found.damage.append(f"{counted(len(lost), 'chunk')} of the summary not found")
+            contents.damage.append(f"{counted(len(lost), 'chunk')} of the summary not found")
         total = declared.messages
         if total is not None and not declared.counts and counts.total() < total:
-            found.damage.append(f"{total - counts.total()} of {total} messages not found")
-        found.counts = found.counts or Counter(declared.counts) or counts
+            contents.damage.append(f"{total - counts.total()} of {total} messages not found")
+        contents.counts = contents.counts or Counter(declared.counts) or counts
 
 
 def scanned_contents(source: ByteSource, declared: Declared | None = None) -> McapContents:
@@ -162,18 +162,18 @@ def scanned_contents(source: ByteSource, declared: Declared | None = None) -> Mc
 
     `declared`: contents according to the summary; None if it is unreadable.
     """
-    found = McapContents()
-    walk = _Scan(source, found)
+    contents = McapContents()
+    walk = _Scan(source, contents)
     walk.through(len(MAGIC), source.size)
     walk.done(declared)
-    return found
+    return contents
 
 
-def _add_unlisted(source: ByteSource, found: McapContents, end: int) -> None:
+def _add_unlisted(source: ByteSource, contents: McapContents, end: int) -> None:
     """Add messages and chunks that the summary does not list."""
-    walk = _Scan(source, found)
+    walk = _Scan(source, contents)
     begin = len(MAGIC)
-    listed = sorted(found.chunks, key=lambda chunk: chunk.offset)
+    listed = sorted(contents.chunks, key=lambda chunk: chunk.offset)
     nexts = [*(chunk.offset for chunk in listed[1:]), end]
     for chunk, until in zip(listed, nexts, strict=False):
         walk.through(begin, chunk.offset)
@@ -202,51 +202,51 @@ def read_summary(source: ByteSource) -> tuple[McapContents, tuple[int, int] | No
     data = source.read(start, end - start)
     if checksum and zlib.crc32(tail[: HEAD + 16], zlib.crc32(data)) != checksum:
         raise DamagedError("the summary does not match its checksum")
-    found, span = _parsed(data, source.size)
-    _add_unlisted(source, found, start)
-    return found, span
+    contents, span = _parsed(data, source.size)
+    _add_unlisted(source, contents, start)
+    return contents, span
 
 
 def _parsed(data: bytes, size: int) -> tuple[McapContents, tuple[int, int] | None]:
-    found = McapContents()
+    contents = McapContents()
     statistics: Statistics | None = None
     end = 0
     for opcode, offset, length in records(data):
         end = offset + length
         content = data[offset:end]
         if opcode in (SCHEMA, CHANNEL):
-            found.registry.add(opcode, content)
+            contents.registry.add(opcode, content)
         elif opcode == STATISTICS:
             statistics = _parsed_record(opcode, content)
         elif opcode == CHUNK_INDEX:
-            found.chunks.append(_chunk_of(_parsed_record(opcode, content)))
+            contents.chunks.append(_chunk_of(_parsed_record(opcode, content)))
     if end != len(data):
         raise DamagedError("the summary is damaged")
-    if any(chunk.offset + chunk.length > size for chunk in found.chunks):
+    if any(chunk.offset + chunk.length > size for chunk in contents.chunks):
         raise DamagedError("the summary lists missing chunks")
-    if len({chunk.offset for chunk in found.chunks}) < len(found.chunks):
+    if len({chunk.offset for chunk in contents.chunks}) < len(contents.chunks):
         raise DamagedError("the summary lists a chunk twice")
-    offsets = frozenset(chunk.offset for chunk in found.chunks)
+    offsets = frozenset(chunk.offset for chunk in contents.chunks)
     if statistics is None:
         raise NoIndexError(Declared(chunks=offsets))
-    found.counts.update(statistics.channel_message_counts)
-    if found.counts and found.counts.total() != statistics.message_count:
+    contents.counts.update(statistics.channel_message_counts)
+    if contents.counts and contents.counts.total() != statistics.message_count:
         raise DamagedError("the summary is inconsistent")
-    channels = found.registry.channels
-    used = {channel for channel, count in found.counts.items() if count}
-    used |= {channel for chunk in found.chunks for channel in chunk.indexes}
+    channels = contents.registry.channels
+    used = {channel for channel, count in contents.counts.items() if count}
+    used |= {channel for chunk in contents.chunks for channel in chunk.indexes}
     schemas = {channels[item].schema_id for item in used & channels.keys()} - {0}
     if (
         not used <= channels.keys()
-        or not schemas <= found.registry.schemas.keys()
-        or len(found.chunks) != statistics.chunk_count
-        or (statistics.message_count and not (found.chunks and found.counts))
+        or not schemas <= contents.registry.schemas.keys()
+        or len(contents.chunks) != statistics.chunk_count
+        or (statistics.message_count and not (contents.chunks and contents.counts))
     ):
         raise NoIndexError(
             Declared(statistics.channel_message_counts, statistics.message_count, offsets)
         )
     span = statistics.message_start_time, statistics.message_end_time
-    return found, span if statistics.message_count else None
+    return contents, span if statistics.message_count else None
 
 
 def _parsed_record(opcode: int, content: bytes) -> Any:

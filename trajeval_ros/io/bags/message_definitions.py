@@ -240,20 +240,20 @@ class _Expansion:
 
     def __init__(self, types: Typesdict) -> None:
         self._types = types
-        self._found: dict[str, _Expanded | None] = {}  # None while a type is expanded
+        self._known: dict[str, _Expanded | None] = {}  # None while a type is expanded
 
     def of(self, message_type: str) -> _Expanded:
         if message_type not in self._types:
             if message_type in _TIMES:
                 return _Expanded(_STAMP, 2, 8, 1)
             raise UnplannedError(f"{message_type} is not defined")
-        if message_type not in self._found:
-            self._found[message_type] = None
-            self._found[message_type] = self._expanded(message_type)
-        found = self._found[message_type]
-        if found is None:
+        if message_type not in self._known:
+            self._known[message_type] = None
+            self._known[message_type] = self._expanded(message_type)
+        expanded = self._known[message_type]
+        if expanded is None:
             raise UnplannedError(f"{message_type} contains itself")
-        return found
+        return expanded
 
     def _expanded(self, message_type: str) -> _Expanded:
         fields: list[tuple[str, Kind]] = []

@@ -48,7 +48,7 @@ class NestedPose:
         element = f".{self.sequence}[{self.index}]" if self.sequence else ""
         return element + (rest if self.sequence else f".{rest}" if rest else "")
 
-    def wanted(self, *, covariances: bool) -> list[str]:
+    def requested(self, *, covariances: bool) -> list[str]:
         """Return the fields to decode."""
         stamps = [f"{self.stamp}.{part}" for part in _TIME] if self.stamp else []
         others = [self.frame, self.child_frame, self.velocity]

@@ -152,15 +152,15 @@ class Playback:
     ) -> list[Channel]:
         """Return the playable channels. Others are noted, and an error if they were requested."""
         path = self._bag.path
-        wanted = {"/" + name.lstrip("/") for name in names}
-        found = [topic for name in sorted(wanted) for topic in self._bag.find(name)]
+        requested = {"/" + name.lstrip("/") for name in names}
+        topics = [topic for name in sorted(requested) for topic in self._bag.find(name)]
         channels: list[Channel] = []
         refused: dict[str, list[str]] = {}
-        for topic in found or self._bag.topics:
+        for topic in topics or self._bag.topics:
             channel, reason = self._channel(topic, channels, is_known, with_clock=with_clock)
             if channel is not None:
                 channels.append(channel)
-            elif topic.name in wanted:
+            elif topic.name in requested:
                 raise InputError(f"{path}: {topic.name} can't be played: {reason}")
             elif topic.count:
                 refused.setdefault(reason, []).append(topic.name)

@@ -48,14 +48,14 @@ class _Paths:
     child_frame: str = ""
     fix_quality: tuple[str, ...] = ()
 
-    def wanted(self, *, covariance: bool, rates: bool = False) -> list[str]:
+    def requested(self, *, covariance: bool, rates: bool = False) -> list[str]:
         """Return the fields to decode."""
         position = (self.position,) if isinstance(self.position, str) else self.position
-        own = [*position, self.quaternion, self.body_velocity, self.child_frame]
-        own += self.fix_quality
-        own += [self.covariance] if covariance else []
-        own += [self.body_rate] if rates else []
-        return [*_HEADER, *(path for path in own if path)]
+        paths = [*position, self.quaternion, self.body_velocity, self.child_frame]
+        paths += self.fix_quality
+        paths += [self.covariance] if covariance else []
+        paths += [self.body_rate] if rates else []
+        return [*_HEADER, *(path for path in paths if path)]
 
 
 _HEADER = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
@@ -146,18 +146,18 @@ def plan_of(
     `fields`: of the type, as a bag defines it. The standard definition is used if this is None or
     lacks a field of a pose. `message_type`: one of `POSE_TYPES` or `TRANSFORM_TYPES`.
     """
-    wanted = _wanted(message_type, covariance=covariance, rates=rates)
+    requested = _requested(message_type, covariance=covariance, rates=rates)
     name = TRANSFORM_TYPES[0] if message_type in TRANSFORM_TYPES else message_type
-    return plan_with(fields, name, wanted, is_ros1=is_ros1)
+    return plan_with(fields, name, requested, is_ros1=is_ros1)
 
 
-def _wanted(message_type: str, *, covariance: bool, rates: bool) -> list[str]:
+def _requested(message_type: str, *, covariance: bool, rates: bool) -> list[str]:
     """Return the requested fields of a type of poses or transforms."""
     if message_type == PATH_TYPE:
-        return [f"poses.{path}" for path in _OF_A_PATH.wanted(covariance=False)]
+        return [f"poses.{path}" for path in _OF_A_PATH.requested(covariance=False)]
     if message_type in TRANSFORM_TYPES:
-        return [f"transforms.{path}" for path in _OF_TRANSFORMS.wanted(covariance=False)]
-    return _PATHS[message_type].wanted(covariance=covariance, rates=rates)
+        return [f"transforms.{path}" for path in _OF_TRANSFORMS.requested(covariance=False)]
+    return _PATHS[message_type].requested(covariance=covariance, rates=rates)
 
 
 def poses_of(
@@ -237,12 +237,12 @@ def edges_of(columns: Columns) -> dict[tuple[str, str], TransformColumns]:
     parents, children = elements.texts["header.frame_id"], elements.texts["child_frame_id"]
     both = parents.codes * len(children.names) + children.codes
     order = np.argsort(both, kind="stable")
-    found, firsts = np.unique(both[order], return_index=True)
+    codes, firsts = np.unique(both[order], return_index=True)
     edges: dict[tuple[str, str], TransformColumns] = {}
-    for code, own in zip(found.tolist(), np.split(order, firsts)[1:], strict=True):
+    for code, of_code in zip(codes.tolist(), np.split(order, firsts)[1:], strict=True):
         parent, child = divmod(code, len(children.names))
         key = parents.names[parent].lstrip("/"), children.names[child].lstrip("/")
-        edge = TransformColumns(stamps[own], numbers[own], rows[own])
+        edge = TransformColumns(stamps[of_code], numbers[of_code], rows[of_code])
         edges[key] = _appended(edges[key], edge) if key in edges else edge
     return edges
 

@@ -92,14 +92,14 @@ class Px4Plan(CdrPlan):
 
     def decode_at(self, buffer: Buffer, begins: Indices, sizes: Indices) -> Columns:
         """Return the columns of messages in a buffer; the most frequent size is the layout's."""
-        found = {
+        rows_of_size = {
             size: np.flatnonzero((sizes >= size) & (sizes <= size + _SLACK))
             for size in self._sizes
         }
-        size = max(found, key=lambda item: len(found[item]))
+        size = max(rows_of_size, key=lambda item: len(rows_of_size[item]))
         layout, end = self._sizes[size]
         rest = size - _HEAD - end
-        rows = found[size]
+        rows = rows_of_size[size]
         plan = CdrPlan(_fields(f"{layout} rest:u1*{rest}" if rest else layout))
         part = plan.decode_at(buffer, begins[rows], sizes[rows])
         return Columns(rows[part.rows], part.numbers, {}, {})
@@ -139,9 +139,9 @@ def poses_of_px4(
     if message_type == GPS:
         return _fixes(fields, poses)
     if message_type == ATTITUDE:
-        found = fields.of("q", 4)
-        poses = poses.replaced(quaternions=_turned(found, are_ned == _NED))
-        return _usable(poses, are_ned, no_orientation=~_is_unit(found))
+        quaternions = fields.of("q", 4)
+        poses = poses.replaced(quaternions=_turned(quaternions, are_ned == _NED))
+        return _usable(poses, are_ned, no_orientation=~_is_unit(quaternions))
     counters = [fields.codes(f"{item}reset_counter") for item in ("", "xy_", "z_", "heading_")]
     resets = np.array([1 << 24, 1 << 16, 1 << 8, 1]) @ counters
     poses = poses.replaced(flags=np.column_stack([resets, fields.codes("quality")]))
@@ -241,15 +241,17 @@ def _covariances(fields: _Numbers, worlds: Floats, rotations: Floats) -> Floats:
     The upper triangle of 1.13 is about the world's axes. Later variances of orientations are about
     the body's.
     """
-    found, turns = np.zeros((fields.count, 6, 6)), np.stack([worlds, worlds], axis=1)
+    covariances, turns = np.zeros((fields.count, 6, 6)), np.stack([worlds, worlds], axis=1)
     if "pose_covariance" in fields.has:
         rows, columns = np.triu_indices(6)
-        found[:, rows, columns] = found[:, columns, rows] = fields.of("pose_covariance", 21)
+        covariances[:, rows, columns] = covariances[:, columns, rows] = fields.of(
+            "pose_covariance", 21
+        )
     else:
         turns[:, 1] = rotations
         variances = fields.of("position_variance orientation_variance", 6)
-        found[:, range(6), range(6)] = np.where(variances > 0.0, variances, np.nan)
-    blocks = found.reshape(-1, 2, 3, 2, 3)
+        covariances[:, range(6), range(6)] = np.where(variances > 0.0, variances, np.nan)
+    blocks = covariances.reshape(-1, 2, 3, 2, 3)
     turned: Floats = np.einsum("naij,najbk,nblk->naibl", turns, blocks, turns, optimize=True)
     return turned.reshape(-1, 6, 6)
 
@@ -313,13 +315,13 @@ def about_px4(columns: PoseColumns) -> Iterator[Remark]:
     failed = 0 if columns.flags is None else int(np.count_nonzero(columns.flags[:, 1] < 0))
     if columns.covariances is not None:
         unknown = np.isnan(columns.covariances.diagonal(axis1=1, axis2=2)[:, [0, 3]])
-        said = [
+        notes = [
             f"{counted(int(lacks.sum()), 'message')} without variances of the {what}"
             for lacks, what in zip(unknown.T, ("position", "orientation"), strict=True)
             if lacks.any()
         ]
-        if said and not unknown.all():
-            text = f"covariances are incomplete: {', '.join(said)}"
+        if notes and not unknown.all():
+            text = f"covariances are incomplete: {', '.join(notes)}"
             yield note("incomplete_covariances", text)
     if failed:
         yield note("failed_quality", f"{counted(failed, 'message')} with quality -1 (failed)")

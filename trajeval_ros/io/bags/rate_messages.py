@@ -70,13 +70,13 @@ def read_rates(path: Path, name: str) -> InertialReadings:
 
 def _topic(bag: Bag, name: str) -> Topic:
     """Return the topic of that name that an IMU publishes."""
-    found = bag.find(name)
-    for topic in found:
+    matches = bag.find(name)
+    for topic in matches:
         if topic.type == IMU_TYPE:
             return topic
     others = [item.name for item in bag.topics if item.type == IMU_TYPE]
     listed = f"IMU messages are on {', '.join(others)}" if others else "no other topic has them"
-    raise InputError(f"{bag.path}: {name} has type {found[0].type}, not {IMU_TYPE}; {listed}")
+    raise InputError(f"{bag.path}: {name} has type {matches[0].type}, not {IMU_TYPE}; {listed}")
 
 
 @cache

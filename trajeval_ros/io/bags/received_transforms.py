@@ -32,9 +32,9 @@ NO_TRANSFORMS: Transforms = np.empty(0, TRANSFORM)
 
 def transforms_of(stamps: Stamps, numbers: Floats, times: Stamps) -> Transforms:
     """Return transforms by column: (N,), (N, 7), (N,)."""
-    found = np.empty(len(stamps), TRANSFORM)
-    found["stamp"], found["numbers"], found["time"] = stamps, numbers, times
-    return found
+    transforms = np.empty(len(stamps), TRANSFORM)
+    transforms["stamp"], transforms["numbers"], transforms["time"] = stamps, numbers, times
+    return transforms
 
 
 class ReceivedChain:
@@ -102,8 +102,8 @@ def compose_received(
     chain: ReceivedChain, received: Mapping[EdgeKey, tuple[Transforms, ReceiveTimes]]
 ) -> Trajectory:
     """Return the poses of a recording, by moving edge with what its times are."""
-    found = chain.poses({key: item for key, (item, _) in received.items()}, at_end=True)
-    receptions, (_, by) = found.reading.receptions, received[chain.leading]
+    poses = chain.poses({key: item for key, (item, _) in received.items()}, at_end=True)
+    receptions, (_, by) = poses.reading.receptions, received[chain.leading]
     assert receptions is not None
     receptions = replace(receptions, by=by.by, recording_s=by.recording_s)
-    return replace(found, reading=SourceInfo(receptions=receptions))
+    return replace(poses, reading=SourceInfo(receptions=receptions))

@@ -99,9 +99,9 @@ class Ros1Reader:
     ) -> Iterator[Block]:
         """Yield the messages of some connections, of all selections in one pass."""
         lost = {selection: Counter[str]() for selection in selections}
-        wanted = all_connections(selections)
-        anyone = [item for item in self._reader.connections if item.id in wanted][:1]
-        chunks = self._by_chunk(wanted, begin, end)
+        requested = all_connections(selections)
+        anyone = [item for item in self._reader.connections if item.id in requested][:1]
+        chunks = self._by_chunk(requested, begin, end)
         for place in sorted(chunks, key=lambda place: chunks[place][0].time):
             # The reader stops at the first damage of what its index lists: a chunk at a time. It
             # takes the connection of a message from the message, so all are listed under one.
@@ -109,7 +109,7 @@ class Ros1Reader:
             messages: list[tuple[int, int, bytes]] = []
             try:
                 for connection, time, payload in self._reader.messages(anyone):
-                    if connection.id in wanted:
+                    if connection.id in requested:
                         messages.append((connection.id, time, payload))
             except Exception as error:  # of several types, depending on the damage
                 reason = str(error) if isinstance(error, DamagedError) else "a chunk is damaged"

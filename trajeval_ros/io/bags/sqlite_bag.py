@@ -113,26 +113,26 @@ class SqliteReader:
             selection.damage += damage
 
     def _found(
-        self, window: _Window, wanted: Collection[int], damage: list[str]
+        self, window: _Window, requested: Collection[int], damage: list[str]
     ) -> Iterator[Block]:
         """Yield the messages of some topics, and add damage to the list."""
         reached: Place | None = None
         try:
-            for place, block in self._scan(window, wanted, damage):
+            for place, block in self._scan(window, requested, damage):
                 yield block
                 reached = place
         except sqlite3.DatabaseError as error:
             damage.append(f"{self._name} is damaged: {error}")
             # A scan ends at the damaged page. The other rows are read one by one.
-            yield from self._row_by_row(window, wanted, reached, damage)
+            yield from self._row_by_row(window, requested, reached, damage)
 
     def _scan(
-        self, window: _Window, wanted: Collection[int], damage: list[str]
+        self, window: _Window, requested: Collection[int], damage: list[str]
     ) -> Iterator[tuple[Place, Block]]:
         """Yield the messages of some topics, with the place of the last one."""
         lost = 0
-        for some in _groups(self._query(*window.ordered_query(wanted))):
-            rows = [row for row in some if row[1] in wanted]
+        for some in _groups(self._query(*window.ordered_query(requested))):
+            rows = [row for row in some if row[1] in requested]
             lost += len(some) - len(rows)
             columns = ([row[number] for row in rows] for number in (1, 2, 3))
             yield window.place(some[-1][2], some[-1][0]), block_of(*columns)
@@ -140,10 +140,10 @@ class SqliteReader:
             damage.append(f"{self._name} is damaged: {counted(lost, 'message')} of unknown topics")
 
     def _row_by_row(
-        self, window: _Window, wanted: Collection[int], reached: Place | None, damage: list[str]
+        self, window: _Window, requested: Collection[int], reached: Place | None, damage: list[str]
     ) -> Iterator[Block]:
         """Yield the messages after a place of a damaged file that sqlite finds by their ids."""
-        query, values = window.query(wanted)
+        query, values = window.query(requested)
 
         def row(key: int) -> list[Any]:
             return self._readable(f"{query} AND id = ?", (*values, key))
@@ -153,8 +153,8 @@ class SqliteReader:
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last > most:
             damage.append(f"{self._name}: ids beyond {most} ignored")
-        found = (item for key in range(1, min(last, most) + 1) for item in row(key))
-        places = sorted(window.place(log_time, key) for key, _, log_time, _ in found)
+        entries = (item for key in range(1, min(last, most) + 1) for item in row(key))
+        places = sorted(window.place(log_time, key) for key, _, log_time, _ in entries)
         yield from blocks_of(
             item[1:]
             for place in places
@@ -261,23 +261,23 @@ class _Window:
     end: int | None  # the first log time after the requested ones, ns; None means all
     in_order: bool  # whether they are read in order of their log times
 
-    def query(self, wanted: Collection[int], others: str = "") -> tuple[str, tuple[Any, ...]]:
+    def query(self, requested: Collection[int], others: str = "") -> tuple[str, tuple[Any, ...]]:
         """Return the query of the requested messages, and its values."""
         query = (
             "SELECT id, topic_id, CAST(ifnull(timestamp, 0) AS INTEGER), "
             "ifnull(CAST(data AS BLOB), x'') FROM messages "
-            f"WHERE (topic_id IN ({','.join('?' * len(wanted))}){others})"
+            f"WHERE (topic_id IN ({','.join('?' * len(requested))}){others})"
         )
-        values: tuple[Any, ...] = tuple(wanted)
+        values: tuple[Any, ...] = tuple(requested)
         if self.begin is not None:
             query, values = f"{query} AND timestamp >= ?", (*values, self.begin)
         if self.end is not None:
             query, values = f"{query} AND timestamp < ?", (*values, self.end)
         return query, values
 
-    def ordered_query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
+    def ordered_query(self, requested: Collection[int]) -> tuple[str, tuple[Any, ...]]:
         """Return the query, in order, of these messages and those of topics that do not exist."""
-        query, values = self.query(wanted, _UNLISTED)
+        query, values = self.query(requested, _UNLISTED)
         # The order of time reads pages in random order. Other callers read rows as stored.
         return f"{query} ORDER BY {'timestamp, id' if self.in_order else 'id'}", values
 

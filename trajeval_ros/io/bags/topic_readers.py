@@ -117,18 +117,18 @@ class TransformReader:
             part = transforms, block.log_times[rows], block.publish_times[rows]
             self._parts.setdefault(edge, []).append(part)
 
-    def received(self, wanted: str) -> dict[EdgeKey, tuple[Transforms, ReceiveTimes]]:
+    def received(self, clock: str) -> dict[EdgeKey, tuple[Transforms, ReceiveTimes]]:
         """Return the transforms of moving edges, and what their times of reception are.
 
-        `wanted`: the clock of the receptions, as in `ReceiveTimes.of_bag`.
+        `clock`: the clock of the receptions, as in `ReceiveTimes.of_bag`.
         """
-        found = {}
+        edges = {}
         for key in () if self._is_static else self._parts:
             stamps, numbers, logged, published = self._in_order(key)
-            receptions = ReceiveTimes.of_bag(logged, published, wanted)
+            receptions = ReceiveTimes.of_bag(logged, published, clock)
             order = np.argsort(receptions.times, kind="stable")
-            found[key] = transforms_of(stamps, numbers, receptions.times)[order], receptions
-        return found
+            edges[key] = transforms_of(stamps, numbers, receptions.times)[order], receptions
+        return edges
 
     @property
     def _is_static(self) -> bool:
@@ -217,8 +217,10 @@ class _Decoders:
     ) -> CdrPlan | FoxglovePlan:
         encoding = connection.encoding
         if self.nested is not None:
-            wanted = self.nested.wanted(covariances=covariances)
-            return CdrPlan(recorded_fields(connection) or (), wanted, is_ros1=encoding == "ros1")
+            requested = self.nested.requested(covariances=covariances)
+            return CdrPlan(
+                recorded_fields(connection) or (), requested, is_ros1=encoding == "ros1"
+            )
         if self.topic.type in (*PX4_POSE_TYPES, ATTITUDE):
             fields = recorded_fields(connection)
             return Px4Plan(self.topic.type) if fields is None else CdrPlan(fields)
@@ -260,13 +262,13 @@ class _Poses:
 
     def _add(self, decoded: Columns, log_times: Stamps, publish_times: Stamps) -> None:
         undecodable, kind = len(log_times) - len(decoded.rows), self._decoders.topic.type
-        nested, wanted = self._decoders.nested, self._decoders.covariances
+        nested, covariances = self._decoders.nested, self._decoders.covariances
         if nested is not None:
-            part = nested.poses(decoded, log_times, undecodable, covariances=wanted)
+            part = nested.poses(decoded, log_times, undecodable, covariances=covariances)
         elif kind == POSE_2D:
             part = poses_2d_of(decoded, log_times, undecodable)
         else:
-            part = poses_of(decoded, kind, undecodable, covariance=wanted)
+            part = poses_of(decoded, kind, undecodable, covariance=covariances)
         columns = {name: getattr(part, name) for name in COLUMNS} | {
             "rows": part.rows + self._messages,
             "log": log_times[part.rows],

@@ -10,7 +10,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.formatting.remarks import Level, Remark, note
+from trajeval_ros.formatting.remarks import Level, Remark, note, warning
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.reading import FORMAT, SourceInfo
@@ -93,10 +93,10 @@ class _Plan:
         """Return a function that makes the trajectory of a source after the reading."""
         bag, frames = self._bag, source.frames
         if frames is not None:
-            found = bag.find(source.topic)
-            if not any(item.holds_transforms for item in found):
+            matches = bag.find(source.topic)
+            if not any(item.holds_transforms for item in matches):
                 raise InputError(
-                    f"{bag.path}: {source.topic} has type {found[0].type}, not transforms"
+                    f"{bag.path}: {source.topic} has type {matches[0].type}, not transforms"
                 )
             tree = [
                 self._transforms.setdefault(tree_topic, TransformReader(tree_topic))
@@ -148,13 +148,13 @@ def _choose(bag: Bag, name: str) -> tuple[Topic, NestedPose | None]:
         of_field = _topic_of_field(bag, name)
         if of_field is not None:
             return of_field
-        found = bag.find(name)
-        poses = [topic for topic in found if topic.holds_poses]
+        matches = bag.find(name)
+        poses = [topic for topic in matches if topic.holds_poses]
         if len(poses) == 1:
             return poses[0], None
-        if len(found) == 1 and not poses and nested_poses(found[0].fields):
-            return found[0], chosen_pose(found[0].fields, "", f"{bag.path}:{name}")
-        types = " and ".join(topic.type for topic in found)
+        if len(matches) == 1 and not poses and nested_poses(matches[0].fields):
+            return matches[0], chosen_pose(matches[0].fields, "", f"{bag.path}:{name}")
+        types = " and ".join(topic.type for topic in matches)
         if len(poses) > 1:
             raise InputError(f"{bag.path}: {name} has several types of poses ({types})")
         raise InputError(
@@ -196,11 +196,11 @@ def _topic_of_field(bag: Bag, name: str) -> tuple[Topic, NestedPose] | None:
 def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()) -> Trajectory:
     """Return the trajectory of a topic that was read."""
     topic = reader.reading.topic
-    found = bag.remarks([reader.reading])
+    damage = bag.remarks([reader.reading])
     nested = reader.nested
     name = topic.name if nested is None else topic.name + nested.field
     where = f"{bag.path}:{name}"
-    why = "; ".join(item.text for item in found if item.level is Level.ERROR)
+    why = "; ".join(item.text for item in damage if item.level is Level.ERROR)
     if topic.type == POSE_2D:
         remarks = (*remarks, POSE_2D_TIMES)
     if reader.slides:
@@ -209,8 +209,24 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
     if nested is not None and not nested.stamp:
         remarks = (*remarks, note("log_times", "no timestamps in messages: log times used"))
     kind = f"{topic.type}, field {nested.field}" if nested and nested.field else topic.type
-    everything = (note(FORMAT, f"format: {kind}"), *remarks, *found)
-    return trajectory_of_columns(where, name, topic.type, reader.poses(), everything, why)
+    columns, remarks = _with_times(reader.poses(), remarks)
+    everything = (note(FORMAT, f"format: {kind}"), *remarks, *damage)
+    return trajectory_of_columns(where, name, topic.type, columns, everything, why)
+
+
+def _with_times(
+    columns: PoseColumns, remarks: tuple[Remark, ...]
+) -> tuple[PoseColumns, tuple[Remark, ...]]:
+    """Return poses with log times if all timestamps are zero; not those of one message."""
+    rows, receptions = columns.rows, columns.receptions
+    if columns.stamps.any() or receptions is None or not len(rows) or rows[0] == rows[-1]:
+        return columns, remarks
+    text = (
+        "all timestamps of the headers are zero: log times used, which include delays; "
+        "--time-offset auto estimates the delay"
+    )
+    remark = warning("log_times", text)
+    return columns.replaced(stamps=receptions.times), (*remarks, remark)
 
 
 def trajectory_of_columns(
@@ -306,7 +322,7 @@ def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
         return trajectory
     trusted = trajectory[rows]
     reading = trusted.reading.with_dropped({LONE: trust.lone})
-    return replace(trusted, reading=reading.remarked(note(LONE, trust.said)))
+    return replace(trusted, reading=reading.remarked(note(LONE, trust.message)))
 
 
 def _receivers(where: str, frames: list[tuple[int, str, str]]) -> tuple[Remark, ...]:
@@ -329,12 +345,12 @@ def _transform_trajectory(
     parent, child = frames
     where = f"{bag.path}:{source.topic}:{parent}.{child}"
     remarks = bag.remarks([item.reading for item in tree])
-    edges, wanted, received = tree_of(tree), source.received, None
+    edges, clock, received = tree_of(tree), source.received, None
     way, leading, stamps = find_chain(edges, parent, child, where)
     positions, quaternions = compose(edges, way, stamps)
     check_stamps(stamps, where)
-    if wanted:
-        arrived = {key: item for reader in tree for key, item in reader.received(wanted).items()}
+    if clock:
+        arrived = {key: item for reader in tree for key, item in reader.received(clock).items()}
         received = compose_received(ReceivedChain(edges, way, leading), arrived)
     trajectory = Trajectory.from_columns(
         stamps,

@@ -122,13 +122,13 @@ def _serialised(
     topics: Mapping[str, tuple[Trajectory, str]], transforms: Sequence[Trajectory]
 ) -> list[_Serialised]:
     """Return topic, type, times and messages of all trajectories."""
-    found: list[_Serialised] = []
+    serialised: list[_Serialised] = []
     for topic, (unordered, message_type) in topics.items():
         trajectory = unordered.in_order()
         logged, frame = trajectory.stamps, trajectory.frame
         if message_type == PATH_TYPE:
             payload = encode_path(logged, trajectory.positions, _poses(trajectory)[:, 3:], frame)
-            found.append((topic, message_type, logged[-1:], [memoryview(payload)]))
+            serialised.append((topic, message_type, logged[-1:], [memoryview(payload)]))
             continue
         receptions = trajectory.reading.receptions
         if receptions is not None:
@@ -149,24 +149,24 @@ def _serialised(
                 _body_velocities(trajectory),
                 (frame, trajectory.child_frame),
             )
-        found.append((topic, message_type, logged, map(memoryview, rows)))
+        serialised.append((topic, message_type, logged, map(memoryview, rows)))
     for transform in transforms:
         trajectory = transform.in_order()
         rows = encode_transforms(
             trajectory.stamps, _poses(trajectory), (trajectory.frame, trajectory.child_frame)
         )
-        found.append((TRANSFORM_TOPIC, TRANSFORMS, trajectory.stamps, map(memoryview, rows)))
-    return found
+        serialised.append((TRANSFORM_TOPIC, TRANSFORMS, trajectory.stamps, map(memoryview, rows)))
+    return serialised
 
 
 def _serialised_imus(inertial: Mapping[str, InertialReadings]) -> list[_Serialised]:
     """Return topic, type, times and messages of IMUs."""
-    found: list[_Serialised] = []
+    serialised: list[_Serialised] = []
     for topic, readings in inertial.items():
         assert readings.accelerations is not None
         rows = encode_imu(readings.stamps, readings.rates, readings.accelerations, readings.frame)
-        found.append((topic, IMU, readings.stamps, map(memoryview, rows)))
-    return found
+        serialised.append((topic, IMU, readings.stamps, map(memoryview, rows)))
+    return serialised
 
 
 def _poses(trajectory: Trajectory) -> Floats:

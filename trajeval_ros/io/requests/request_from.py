@@ -48,6 +48,7 @@ def request_from(settings: Mapping[str, Any]) -> Request:
     covariance = plain.pop("covariance", NONE)
     alert_limit, risk = plain.pop("alert_limit", None), plain.pop("risk", None)
     time_span = TimeSpan.parse(plain.pop("start", None), plain.pop("end", None))
+    modality = given.get("modality")
     table = plain.pop("align_states") if _is_table(given.get("align_states")) else None
     calibration = _calibration(offset, hand_eye)
     of_protocol = {item: value for item, value in plain.items() if _is_of_protocol(item)}
@@ -76,7 +77,9 @@ def request_from(settings: Mapping[str, Any]) -> Request:
         time_span=time_span,
         states_table=() if table is None else parse_first_states(table),
         integrity=None if alert_limit is None else _integrity(alert_limit, risk),
-        gauge_is_default=name == "default" and not given.keys() & {"gauge", "modality"},
+        gauge_is_default=name == "default"
+        and "gauge" not in given
+        and modality in (None, "lidar"),
         **{item: value for item, value in others.items() if "." not in item},
     )
     changed: Request = _replaced(
@@ -135,12 +138,12 @@ def read_protocol(path: Path) -> Protocol:
     Raises:
         InputError: The file can't be read, or a setting is unknown or not valid.
     """
-    found = read_mapping(path, "protocol")
+    values = read_mapping(path, "protocol")
     known = [name for name in SETTINGS if _is_of_protocol(name) and name != "protocol"]
-    require_known(found, ["base", *known], str(path))
-    base = found.pop("base", "default")
+    require_known(values, ["base", *known], str(path))
+    base = values.pop("base", "default")
     try:
-        settings = {name: SETTINGS[name].of_yaml(value) for name, value in found.items()}
+        settings = {name: SETTINGS[name].of_yaml(value) for name, value in values.items()}
         named = dataclasses.replace(protocol_named(str(base)), name=path.stem)
         emptied = {name: None for name, value in settings.items() if value is None}
         changes = {SETTINGS[name].targets[0].removeprefix("protocol."): None for name in emptied}
@@ -206,16 +209,16 @@ def _changes(name: str, value: Any) -> dict[str, Any]:
 
 def _replaced(whole: Any, changes: Mapping[str, Any]) -> Any:
     """Return a dataclass with changed fields, by paths such as `association.max_gap_s`."""
-    own: dict[str, Any] = {}
+    changed: dict[str, Any] = {}
     deeper: dict[str, dict[str, Any]] = {}
     for path, value in changes.items():
         first, _, rest = path.partition(".")
         if rest:
             deeper.setdefault(first, {})[rest] = value
         else:
-            own[first] = value
-    own |= {first: _replaced(getattr(whole, first), more) for first, more in deeper.items()}
-    return dataclasses.replace(whole, **own) if own else whole
+            changed[first] = value
+    changed |= {first: _replaced(getattr(whole, first), more) for first, more in deeper.items()}
+    return dataclasses.replace(whole, **changed) if changed else whole
 
 
 def _require_together(given: Mapping[str, Any]) -> None:

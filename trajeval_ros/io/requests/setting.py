@@ -226,44 +226,44 @@ def parse_imu_noise(text: str) -> ImuNoise:
     Raises:
         SettingsError: The text is not two numbers in the range of sensors.
     """
-    said = f"--imu-noise {text!r} is not valid; give two densities above zero, as in 8e-4,2e-2"
-    gyroscope, accelerometer = two_numbers(text, said)
+    refusal = f"--imu-noise {text!r} is not valid; give two densities above zero, as in 8e-4,2e-2"
+    gyroscope, accelerometer = two_numbers(text, refusal)
     if not (1e-6 <= gyroscope <= 1.0 and 1e-5 <= accelerometer <= 1e2):
-        raise SettingsError(said)
+        raise SettingsError(refusal)
     return ImuNoise(gyroscope, accelerometer)
 
 
-def parse_score(found: Mapping[str, Any] | None) -> PointTable | KnotTable | None:
+def parse_score(values: Mapping[str, Any] | None) -> PointTable | KnotTable | None:
     """Return the table of points in a mapping `{bounds_m or knots_m, points, best, dimensions}`.
 
     Raises:
         SettingsError: A value is not valid.
         InputError: A key is unknown.
     """
-    if found is None:
+    if values is None:
         return None
-    require_known(found, ("bounds_m", "knots_m", "points", "best", "dimensions"), "score")
-    best = _number(found.get("best", PointTable.best), "score.best")
-    table, places = (KnotTable, "knots_m") if "knots_m" in found else (PointTable, "bounds_m")
-    where, points = (_numbers(found.get(name), f"score.{name}") for name in (places, "points"))
-    return table(where, points, best, _dimensions(found))
+    require_known(values, ("bounds_m", "knots_m", "points", "best", "dimensions"), "score")
+    best = _number(values.get("best", PointTable.best), "score.best")
+    table, places = (KnotTable, "knots_m") if "knots_m" in values else (PointTable, "bounds_m")
+    where, points = (_numbers(values.get(name), f"score.{name}") for name in (places, "points"))
+    return table(where, points, best, _dimensions(values))
 
 
-def parse_recall(found: Mapping[str, Any] | None) -> RecallRule | None:
+def parse_recall(values: Mapping[str, Any] | None) -> RecallRule | None:
     """Return the rule in a mapping `{bounds_m, dimensions}`.
 
     Raises:
         SettingsError: A value is not valid.
         InputError: A key is unknown.
     """
-    if found is None:
+    if values is None:
         return None
-    require_known(found, ("bounds_m", "dimensions"), "recall")
-    return RecallRule(_numbers(found.get("bounds_m"), "recall.bounds_m"), _dimensions(found))
+    require_known(values, ("bounds_m", "dimensions"), "recall")
+    return RecallRule(_numbers(values.get("bounds_m"), "recall.bounds_m"), _dimensions(values))
 
 
-def _dimensions(found: Mapping[str, Any]) -> int:
-    return int(_number(found.get("dimensions", 3), "dimensions"))
+def _dimensions(values: Mapping[str, Any]) -> int:
+    return int(_number(values.get("dimensions", 3), "dimensions"))
 
 
 def _numbers(value: Any, where: str) -> tuple[float, ...]:

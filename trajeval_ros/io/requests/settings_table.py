@@ -177,7 +177,7 @@ _ROWS = (
         "defines coverage (docs/definitions.md)."),
     Setting(name="time_offset",
         target=("protocol.association.time_offset_s", "calibration.offset"), read=_time_offset,
-        metavar="S|auto", panel=PAIR, verbs=(EVALUATE, COMPARE, NODE), is_common=True,
+        metavar="S|auto", panel=PAIR, verbs=(EVALUATE, COMPARE, TRAJECTORY, NODE), is_common=True,
         help="Offset added to the estimate's timestamps, in seconds. auto estimates it and "
         "applies it if it is statistically significant.",
         node_help=f"Offset added to the estimates' timestamps, in seconds, or {AUTO}: estimated "
@@ -241,8 +241,8 @@ _ROWS = (
     # Of the evaluation of a pair.
     Setting(name="hand_eye",
         target=("calibration.hand_eye", "calibration.known", "calibration.source"), read=_hand_eye,
-        metavar="none|auto|SOURCE", panel=PAIR, verbs=(EVALUATE, COMPARE, FINISH, NODE),
-        is_common=True,
+        metavar="none|auto|SOURCE", panel=PAIR,
+        verbs=(EVALUATE, COMPARE, FINISH, TRAJECTORY, NODE), is_common=True,
         help="Pose of the groundtruth's marker in the estimate's body: X,Y,Z,QX,QY,QZ,QW "
         "(metres), a TransformStamped in a YAML file, or a static transform in a bag "
         "(BAG:/tf_static:BODY.MARKER); or auto: estimated, and applied if it is significant.",

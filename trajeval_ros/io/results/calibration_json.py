@@ -23,12 +23,14 @@ def calibration_json(calibrated: Calibrated) -> dict[str, Any]:
 
     docs/result.md describes the fields. The units are in their names.
     """
-    wanted, calibration = calibrated.wanted, calibrated.calibration
+    request, calibration = calibrated.request, calibrated.calibration
     hand_eye = calibrated.hand_eye
     return {
         "estimated_from": None if calibration is None else calibrated.estimated_from,
-        "time_offset": _offset(calibrated) if wanted.offset else None,
-        "hand_eye": _hand_eye(calibrated) if wanted.hand_eye or wanted.known is not None else None,
+        "time_offset": _offset(calibrated) if request.offset else None,
+        "hand_eye": _hand_eye(calibrated)
+        if request.hand_eye or request.known is not None
+        else None,
         "T_body_marker": None if hand_eye is None else hand_eye_json(hand_eye),
         "errors_of": "marker" if calibrated.of_marker else "body",
         "parameters_fitted": 0 if calibration is None else calibration.fitted,
@@ -50,16 +52,16 @@ def calibration_json(calibrated: Calibrated) -> dict[str, Any]:
 def _offset(calibrated: Calibrated) -> dict[str, Any]:
     calibration = calibrated.calibration
     assert calibration is not None
-    guess, found = calibration.guess, calibration.offset
+    guess, offset = calibration.guess, calibration.offset
     value, sigma, half_width = (
         None if column is None else float(column[0])
-        for column in (found.value, found.sigma, found.half_width_95)
+        for column in (offset.value, offset.sigma, offset.half_width_95)
     )
     return {
         "value_s": value,
         "sigma_s": sigma,
         "half_width_95_s": half_width,
-        **_verdict(found, calibrated.offset_applied),
+        **_verdict(offset, calibrated.offset_applied),
         "correlation": {
             "signal": guess.signal,
             "offset_s": guess.offset_s,
@@ -81,8 +83,8 @@ def _row(calibration: Calibration, kind: str) -> dict[str, float] | None:
 
 
 def _hand_eye(calibrated: Calibrated) -> dict[str, Any]:
-    if calibrated.wanted.known is not None:
-        return {"source": calibrated.wanted.source, "rotation": None, "lever_arm": None}
+    if calibrated.request.known is not None:
+        return {"source": calibrated.request.source, "rotation": None, "lever_arm": None}
     calibration = calibrated.calibration
     assert calibration is not None
     turn, lever = calibration.turn, calibration.lever
@@ -108,12 +110,12 @@ def _hand_eye(calibrated: Calibrated) -> dict[str, Any]:
     }
 
 
-def _verdict(found: Parameter, applied: bool) -> dict[str, Any]:
+def _verdict(parameter: Parameter, applied: bool) -> dict[str, Any]:
     return {
-        "reliability": found.reliability.tolist(),
-        "chance": found.chance,
-        "status": found.status,
-        "reason": found.reason,
+        "reliability": parameter.reliability.tolist(),
+        "chance": parameter.chance,
+        "status": parameter.status,
+        "reason": parameter.reason,
         "applied": applied,
     }
 

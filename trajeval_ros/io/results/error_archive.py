@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.io.npz_file import write_arrays
-from trajeval_ros.io.results.pair_columns import (
-    Columns,
+from trajeval_ros.io.results.pair_columns import pair_columns
+from trajeval_ros.metrics.columns import (
+    ArrayColumns,
     columns_of,
     component_columns,
-    pair_columns,
+    have_pyarrow,
+    write_parquet,
 )
-from trajeval_ros.metrics.columns import have_pyarrow, write_parquet
 from trajeval_ros.pipeline.outcome import Outcome
 
 SCHEMA = "trajeval-errors/1"
@@ -27,8 +28,7 @@ def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
 
     Without pyarrow, errors.parquet is not among them.
     """
-    up = outcome.groundtruth.up
-    columns = [pair_columns(run, up) for run in outcome.runs]
+    columns = [pair_columns(run) for run in outcome.runs]
     files = {ARCHIVE: write_errors}
     if have_pyarrow():
         files[TABLE] = write_error_table
@@ -37,7 +37,7 @@ def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
     }
 
 
-def write_errors(path: Path, outcome: Outcome, columns: Sequence[Columns]) -> None:
+def write_errors(path: Path, outcome: Outcome, columns: Sequence[ArrayColumns]) -> None:
     """Write the errors of all pairs and sub-trajectories of all runs as an npz archive.
 
     `columns` are the `pair_columns` of the runs.
@@ -58,7 +58,7 @@ def write_errors(path: Path, outcome: Outcome, columns: Sequence[Columns]) -> No
         arrays |= {f"{name}.{column}": values for column, values in of_pairs.items()}
         if run.available is not None and run.available.samples is not None:
             samples = run.available.samples
-            available: Columns = {
+            available: ArrayColumns = {
                 "stamps": samples.stamps,
                 "row": samples.rows,
                 "age_ns": samples.age,
@@ -74,7 +74,7 @@ def write_errors(path: Path, outcome: Outcome, columns: Sequence[Columns]) -> No
     write_arrays(path, arrays, compressed=False)
 
 
-def write_error_table(path: Path, outcome: Outcome, columns: Sequence[Columns]) -> None:
+def write_error_table(path: Path, outcome: Outcome, columns: Sequence[ArrayColumns]) -> None:
     """Write a Parquet table with one row per pair, of all runs.
 
     `columns` are the `pair_columns` of the runs. Those of the table are `estimate`, the name of

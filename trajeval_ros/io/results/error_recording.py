@@ -131,10 +131,10 @@ class _RecordedRun:
             if (values := numbers_of(self._errors)) is not None:
                 yield self._numbers(topic, self._times, values)
         for segment in self._evaluation.relative or ():
-            found, topic = segment.errors, relative_error_topic(str(segment.length))
-            numbers = by_part(topic, found.position_m, found.rotation_deg)
+            errors, topic = segment.errors, relative_error_topic(str(segment.length))
+            numbers = by_part(topic, errors.position_m, errors.rotation_deg)
             for name, vectors in numbers.items():
-                yield self._vectors(name, self._times[found.ends], vectors)
+                yield self._vectors(name, self._times[errors.ends], vectors)
         for topic, ate in window_ate(self._snapshot).items():
             yield self._vectors(topic, whole, ate.repeat(2, axis=0))
         frames = self._frame, self._child_frame

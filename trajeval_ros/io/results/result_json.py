@@ -22,6 +22,7 @@ from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.io.results.probabilistic_json import probabilistic_json
 from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
+from trajeval_ros.metrics.scale_along_run import ScaleAlongRun
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 
@@ -130,6 +131,7 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
             "segments": [_segment(item) for item in evaluation.relative],
             "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
         },
+        "scale_along_run": _scale(evaluation.scale_along_run),
         "score": None if evaluation.score is None else dataclasses.asdict(evaluation.score),
         "recall": evaluation.recall and dataclasses.asdict(evaluation.recall),
         "calibration": None if run.calibrated is None else calibration_json(run.calibrated),
@@ -157,6 +159,18 @@ def _segment(segment: SubTrajectoryErrors) -> dict[str, Any]:
         "pairs": segment.count,
         "mean_length_m": segment.mean_length_m,
         **{metric: statistics_json(value) for metric, value in segment.statistics.items()},
+    }
+
+
+def _scale(scale: ScaleAlongRun | None) -> dict[str, Any] | None:
+    if scale is None:
+        return None
+    return {
+        "length_m": scale.length_m,
+        "travelled_m": scale.travelled_m.tolist(),
+        "ratios": scale.ratios.tolist(),
+        "drift_percent_per_100m": scale.drift,
+        "drift_std_percent_per_100m": scale.drift_std,
     }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.io.text.layouts import example_for
 from trajeval_ros.io.text.names import (
     CLOCK,
     FRAME,
@@ -18,19 +19,23 @@ from trajeval_ros.io.text.names import (
     RECEIVED,
     ROTATIONS,
     Layout,
-    with_pose,
 )
-from trajeval_ros.io.text.stamps import is_clock, may_be_time
+from trajeval_ros.io.text.stamps import is_clock
+from trajeval_ros.io.text.table import TextTable
 
 # Patterns are compiled on use, since most files have no header.
 _UNIT = r"\[([^\[\]]*)\]|\(([^()]*)\)"
 _UNITS = {
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"), "ns"),
-    **dict.fromkeys(("us", "usec", "usecs", "microseconds", "micros"), "us"),
-    **dict.fromkeys(("ms", "msec", "msecs", "milliseconds", "millis"), "ms"),
-    **dict.fromkeys(("s", "sec", "secs", "seconds"), "s"),
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), "deg"),
-    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
+    word: unit
+    for unit, words in {
+        "ns": "ns nsec nsecs nanosec nanosecs nanoseconds",
+        "us": "us usec usecs microseconds micros",
+        "ms": "ms msec msecs milliseconds millis",
+        "s": "s sec secs seconds",
+        "deg": "deg degree degrees °",
+        "rad": "rad radian radians",
+    }.items()
+    for word in words.split()
 }
 _OTHER_SPEED = r"[\[(](?!m[ /])[a-z]+ ?(?:/ ?[sh]|s\^?-1)|[\[(]m ?/ ?h"  # not m/s
 _LENGTH = rf"{_UNIT}|[^a-z0-9](mm|cm|k?m)$"
@@ -42,18 +47,23 @@ _TIME = (
 _NANOSECONDS = r"(?:.*_)?(?:nano|n)secs?"  # of a timestamp of ROS, next to its seconds
 _RECEIVED = r"received(?:_(?:s|ms|us|ns))?"
 _FRAME = r"frame|frame_?(?:index|number|num|no|id)|index|image|image_id|id|no|num|pose_index"
-# Patterns of column names by group. `{}` is the element: x, y, z or w.
+# Patterns of quantities, and the name that the groups of the match make.
 _FRAMES = r"(?:_(?:world|odom|map|device|body|imu|cam(?:era)?|enu|ecef|local|global))*"
-_VECTORS = {
-    "position": r"(?:(?:t|p|pos|position|p_[a-z_]+|ecef_p|trans|loc(?:ation)?|pose)?_?"
-    r"|(?:.*_)?(?:position|translation|point|pos)_){}(?:_?pos)?" + _FRAMES + r"(?:_(mm|cm|m|km))?",
-    "quaternion": r"(?:(?:q|quat|quaternion|orientation|q_[a-z_]+)_?"
-    r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_){}" + _FRAMES,
-    "body_velocity": r"(?:.*_)?twist_linear_{}",
-    "velocity": r"(?:(?:v|vel|velocity|v_[a-z_]+)_?|(?:.*_)?linear_velocity_){}",
-    "gyroscope_bias": r"b_?[wg](?:_[a-z_]+)?_?{}",
-    "accelerometer_bias": r"b_?a(?:_[a-z_]+)?_?{}",
-}
+_PATTERNS = (
+    (r"(?:.*_)?m_?([123])_?([1-4])", "m{}{}"),
+    (r"p([rt])(11|12|13|22|23|33)", "p{}{}"),
+    (r"(?:(?:t|p|pos|position|p_[a-z_]+|ecef_p|trans|loc(?:ation)?|pose)?_?"
+     r"|(?:.*_)?(?:position|translation|point|pos)_)([xyz])(?:_?pos)?" + _FRAMES
+     + r"(?:_(?:mm|cm|m|km))?", "{}"),
+    (r"(?:(?:q|quat|quaternion|orientation|q_[a-z_]+)_?"
+     r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_)([xyzw])" + _FRAMES, "q{}"),
+    (r"(?:.*_)?twist_linear_([xyz])", "body_v{}"),
+    (r"(?:(?:v|vel|velocity|v_[a-z_]+)_?|(?:.*_)?linear_velocity_)([xyz])", "v{}"),
+    (r"b_?[wg](?:_[a-z_]+)?_?([xyz])", "bw{}"),
+    (r"b_?a(?:_[a-z_]+)?_?([xyz])", "ba{}"),
+    (r"(?:.*_)?(roll|pitch|yaw)(?:_(?:deg|degrees|rad|radians))?", "{}"),
+)  # fmt: skip
+_ANGLES = ("roll", "pitch", "yaw")
 _UP = "(?:up|alt|altitude|height|elevation)(?:_m)?"
 # Sets that are used only if all their names are present and no other name is the quantity, with
 # the columns that they also need.
@@ -67,20 +77,6 @@ _SETS: tuple[tuple[dict[str, str], set[str]], ...] = (
     ({"qx": "qi", "qy": "qj", "qz": "qk", "qw": "q[rw]"}, set()),
     ({"roll": "phi", "pitch": "theta", "yaw": "psi"}, set()),
 )
-_ANGLE = r"(?:.*_)?(roll|pitch|yaw)(?:_(deg|degrees|rad|radians))?"
-_THETA = r"theta(?:_(deg|degrees|rad|radians))?"
-_COVARIANCE = r"(?!.*twist)(?:.*_)?(?:c|cov|covariance)_?(\d+)(?:_(\d))?"
-_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-_AXIS = "|".join(_AXES)
-_VARIANCE = rf"(?:.*_)?(?:var|variance)_?({_AXIS})"
-_PAIR = rf"(?:.*_)?(?:cov|covariance)_?({_AXIS})_?({_AXIS})"
-_TRIANGLES = dict(
-    zip(
-        ["qrr", "qrp", "qry", "qpp", "qpy", "qyy", "pxx", "pxy", "pxz", "pyy", "pyz", "pzz"],
-        (*GROUPS["rotation_covariance"], *GROUPS["position_covariance"]),
-        strict=True,
-    )
-)
 _FIXES = {  # used only if both latitude and longitude are present
     "latitude": r"(?:.*_)?(?:lat|latitude)(?:_?deg)?",
     "longitude": r"(?:.*_)?(?:lon|lng|long|longitude)(?:_?deg)?",
@@ -90,6 +86,18 @@ _FIXES = {  # used only if both latitude and longitude are present
     "sigma_up": r"(?:s|sd|std|sigma)_?(?:u|up|z)(?:_?m)?",
     "fix_status": r"(?:.*_)?(?:fix_?)?status(?:_status)?",
 }
+_COVARIANCE = r"(?!.*twist)(?:.*_)?(?:c|cov|covariance)_?(\d+)(?:_(\d))?"
+_AXES = ("x", "y", "z", *_ANGLES)
+_AXIS = "|".join(_AXES)
+# A covariance of two axes, or the variance of one.
+_PAIR = rf"(?:.*_)?(?:(?:cov|covariance)_?({_AXIS})_?|(?:var|variance)_?)({_AXIS})"
+_MARGINALS = dict(  # of OpenVINS
+    zip(
+        ["qrr", "qrp", "qry", "qpp", "qpy", "qyy", "pxx", "pxy", "pxz", "pyy", "pyz", "pzz"],
+        (*GROUPS["rotation_covariance"], *GROUPS["position_covariance"]),
+        strict=True,
+    )
+)
 # Words of what is no part of a pose: quantities, and labels, which may count or be times.
 _END = r"(?:[xyzneu]|\d{1,4})?(?:_.*)?"
 _QUANTITY = (
@@ -105,8 +113,6 @@ _LABEL = (
     r"|v|w|a|b|d|l|marker|mean|tracking|lidar|image|file|path|frame)" + _END
 )
 _COMPASS = r"(?:.*_)?(?:heading|azimuth|course|bearing|track)(?:_deg)?"
-
-
 _LONGEST_NAME = 80  # characters: patterns need quadratic time for longer ones
 
 
@@ -116,8 +122,7 @@ def split_header(line: str, separator: str) -> list[str]:
     line = line.encode("latin-1", "replace").decode("utf-8", "replace")
     if not separator:  # a unit after a space belongs to the name before it
         line = re.sub(rf" (?={_UNIT})", "", " ".join(line.split()))  # runs of spaces are slow
-    names = [name.strip(" \"'\t\r\n") for name in line.split(separator or None)]
-    return names[:-1] if len(names) > 1 and not names[-1] else names
+    return [name.strip(" \"'\t\r\n") for name in line.split(separator or None)]
 
 
 def plain_of(name: str) -> str:
@@ -130,131 +135,94 @@ def plain_of(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", re.sub(_UNIT, "", name).lower()).strip("_")[:_LONGEST_NAME]
 
 
-def from_header(names: Sequence[str], sample: Floats, texts: Booleans) -> Layout | None:
+def from_header(names: Sequence[str], table: TextTable) -> Layout | None:
     """Return the layout that the names of all columns describe; None if they are no names.
-
-    `sample`: (N, C) first rows, NaN for what is no number. `texts`: (C,), whether a
-    column is text.
 
     Raises:
         InputError: A quantity is missing that a column with an unknown name may be.
     """
     plain = [plain_of(name) for name in names]
-    columns = _columns(names, plain, sample, ~texts)
-    known = [
-        name != IGNORED
-        or bool(re.fullmatch(f"{_QUANTITY}|{_LABEL}|{_COMPASS}", plain[at]))
-        or not plain[at]
-        for at, name in enumerate(columns)
-    ]
+    columns = _columns(names, plain, table.values, ~table.texts)
     layout = Layout("", tuple(columns))
-    used = {place for places in layout.groups.values() for place in places} | {layout.time}
-    varies = np.array([np.unique(column[np.isfinite(column)]).size > 1 for column in sample.T])
-    unknown = [
-        at for at, is_known in enumerate(known) if not is_known and (varies[at] or len(sample) < 2)
+    known = [
+        name != IGNORED or re.fullmatch(f"{_QUANTITY}|{_LABEL}|{_COMPASS}|", word) is not None
+        for name, word in zip(columns, plain, strict=True)
     ]
-    if not any(name != IGNORED for name in columns) and 2 * sum(known) < len(names):
+    if set(columns) == {IGNORED} and 2 * sum(known) < len(names):
         return None
-    unit = re.search(_UNIT, names[layout.time]) if layout.time is not None else None
-    named_unit = (unit[1] or unit[2] or "").strip().lower() if unit else ""
-    if (
-        named_unit
-        and named_unit not in _UNITS
-        and layout.time_name == "t"
-        and re.search(r"\d|s$|\A(?:min|minutes?|h|hours?|d|days?)\Z", named_unit)
+    time_unit = _bracket(names[layout.time or 0]) if layout.time_name == "t" else ""
+    if time_unit not in _UNITS and re.search(
+        r"\d|s$|\A(?:min|minutes?|h|hours?|d|days?)\Z", time_unit
     ):
         raise InputError(
-            f"the unit of the time, {named_unit!r}, is unknown; convert it to s, ms, us or ns, "
+            f"the unit of the time, {time_unit!r}, is unknown; convert it to s, ms, us or ns, "
             "and write that unit in the header"
         )
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
-        quantity = _missing(layout, unknown, sample, plain)
+    unknown = [
+        at
+        for at, column in enumerate(table.values.T)
+        if not known[at] and not _is_constant(column)
+    ]
+    quantity, examples = _missing(layout, unknown, table, plain)
     if quantity:
         words = ", ".join(repr(names[at][:40]) for at in unknown[:6])
         doubt = f", and the meaning of {words} is unknown" if unknown else ""
-        options = " or ".join(
-            f"{{option}} '{' '.join(example)[:300]}'"
-            for example in _examples(quantity, layout, unknown, sample, plain, texts)
-        )
+        options = " or ".join(f"{{option}} '{example[:300]}'" for example in examples)
         raise InputError(
             f"no column has a name of a {quantity} ({', '.join(names)[:200]}){doubt}; if one is "
             f"there, name the columns: {options}"
         )
+    used = {place for places in layout.groups.values() for place in places} | {layout.time}
     ignored = [
         name or f"column {at + 1}"
         for at, name in enumerate(names)
         if at not in used and name != CLOCK
     ]
     note = f"ignored columns: {', '.join(ignored)}" if ignored else ""
-    if not layout.is_geographic and set(ROTATIONS).isdisjoint(layout.groups):
-        compass = [
-            name for name, word in zip(names, plain, strict=True) if re.fullmatch(_COMPASS, word)
-        ]
-        if compass:
-            note += (
-                f"; {compass[0]} may count from north: no rotations are read; name it yaw if not"
-            )
+    compass = [at for at, word in enumerate(plain) if re.fullmatch(_COMPASS, word)]
+    if compass and not layout.is_geographic and set(ROTATIONS).isdisjoint(layout.groups):
+        name = names[compass[0]]
+        note += f"; {name} may count from north: no rotations are read; name it yaw if not"
     return Layout(_title(layout), tuple(columns), note, unit=_unit_of(names, layout))
 
 
-def _missing(layout: Layout, unknown: Sequence[int], sample: Floats, plain: Sequence[str]) -> str:
-    """Return the quantity that a column with an unknown name may be, "" if all is known."""
-    if not layout.has_places:
-        return "position"
-    if _clock_of(layout, sample, plain) is not None:
-        return "time"
-    if "planar" in layout.groups and unknown:
-        return "height"
-    if not layout.is_geographic and set(ROTATIONS).isdisjoint(layout.groups):
-        return "" if _unit_of_four(sample) is None else "rotation"
-    return ""
+def _missing(
+    layout: Layout, unknown: Sequence[int], table: TextTable, plain: Sequence[str]
+) -> tuple[str, list[str]]:
+    """Return the quantity that a column with an unknown name may be, "" if all is known.
 
-
-def _unit_of_four(sample: Floats) -> int | None:
-    """Return the first of four neighbouring columns of unit length, which may be a quaternion."""
-    for at in range(sample.shape[1] - 3):
-        lengths = np.linalg.norm(sample[:, at : at + 4], axis=1)
-        if len(lengths) and (np.abs(lengths - 1.0) < 1e-2).all():
-            return at
-    return None
-
-
-def _examples(
-    quantity: str,
-    layout: Layout,
-    unknown: Sequence[int],
-    sample: Floats,
-    plain: Sequence[str],
-    texts: Booleans,
-) -> list[list[str]]:
-    """Return names of all columns, `quantity` included, where it may be."""
+    With it, names of all columns as examples, the quantity included.
+    """
     columns = list(layout.columns)
-    if quantity == "height":
-        columns[unknown[0]] = "z"
-    elif quantity == "rotation":
-        four = _unit_of_four(sample) or 0
-        quaternions = ("qx", "qy", "qz", "qw"), ("qw", "qx", "qy", "qz")
-        return [[*columns[:four], *names, *columns[four + 4 :]] for names in quaternions]
-    elif quantity == "time":
+    has_rotation = not set(ROTATIONS).isdisjoint(layout.groups)
+    is_unpaired = layout.time_name in ("", FRAME)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
+        clocks = [
+            at
+            for at, column in enumerate(table.values.T)
+            if is_unpaired
+            and columns[at] == IGNORED
+            and not re.fullmatch(_QUANTITY, plain[at])
+            and is_clock(column)
+        ]
+        lengths = [
+            np.linalg.norm(table.values[:, at : at + 4], axis=1) for at in range(len(columns) - 3)
+        ]
+    if not layout.has_places:
+        return "position", [example_for(table, columns)]
+    if clocks:
         columns = [IGNORED if name == FRAME else name for name in columns]
-        columns[_clock_of(layout, sample, plain) or 0] = "t"
-    else:
-        places = [at for at in np.flatnonzero(~texts).tolist() if at != layout.time]
-        if layout.time is None and places and may_be_time(sample[:, places[0]], len(columns)):
-            columns[places.pop(0)] = "t"
-        columns = with_pose(columns, places)
-    return [columns]
-
-
-def _clock_of(layout: Layout, sample: Floats, plain: Sequence[str]) -> int | None:
-    """Return the first ignored column that may be the time, if rows are paired by number."""
-    places = range(len(plain)) if layout.time_name in ("", FRAME) else ()
-    ignored = (
-        at
-        for at in places
-        if layout.columns[at] == IGNORED and not re.fullmatch(_QUANTITY, plain[at])
-    )
-    return next((at for at in ignored if is_clock(sample[:, at])), None)
+        columns[clocks[0]] = "t"
+        return "time", [" ".join(columns)]
+    if "planar" in layout.groups and unknown:
+        columns[unknown[0]] = "z"
+        return "height", [" ".join(columns)]
+    four = [at for at, length in enumerate(lengths) if (np.abs(length - 1.0) < 1e-2).all()]
+    if not layout.is_geographic and not has_rotation and four:  # neighbours of unit length
+        before, after = columns[: four[0]], columns[four[0] + 4 :]
+        orders = "qx qy qz qw", "qw qx qy qz"
+        return "rotation", [" ".join([*before, order, *after]) for order in orders]
+    return "", []
 
 
 def _unit_of(names: Sequence[str], layout: Layout) -> str:
@@ -262,8 +230,23 @@ def _unit_of(names: Sequence[str], layout: Layout) -> str:
     places = layout.groups.get("position") or layout.groups.get("planar", ())
     matches = [re.search(_LENGTH, names[place].lower()) for place in places]
     units = [match[match.lastindex or 0].strip() or "m" if match else "m" for match in matches]
-    units = [unit for unit in units if not unit.isdigit()]
-    return " and ".join(dict.fromkeys(units)) or "m"
+    return " and ".join(dict.fromkeys(unit for unit in units if not unit.isdigit())) or "m"
+
+
+def _is_constant(column: Floats) -> bool:
+    finite = column[np.isfinite(column)]
+    return len(column) > 1 and bool((finite == finite[:1]).all())
+
+
+def _bracket(name: str) -> str:
+    """Return the words in the brackets of a name, in lower case."""
+    match = re.search(_UNIT, name)
+    return (match[1] or match[2] or "").strip().lower() if match else ""
+
+
+def _unit(name: str, word: str) -> str:
+    """Return the unit that a name has in brackets or `word`, its plain form, at the end."""
+    return _UNITS.get(_bracket(name)) or _UNITS.get(word.rpartition("_")[2], "")
 
 
 def _columns(
@@ -279,32 +262,25 @@ def _columns(
     def places(pattern: str) -> list[int]:
         return [at for at, word in enumerate(plain) if re.fullmatch(pattern, word)]
 
-    for place, word in enumerate(plain):
-        if match := re.fullmatch(r"(?:.*_)?m_?([123])_?([1-4])", word):
-            name(place, f"m{match[1]}{match[2]}")
-        if word in _TRIANGLES or word in _TRIANGLES.values():
-            name(place, _TRIANGLES.get(word, word))
-        elif re.fullmatch(_RECEIVED, word):
-            name(place, RECEIVED)
+    for place in places(_RECEIVED):
+        name(place, RECEIVED)
     _name_time(names, plain, places, name, sample)
-    _name_covariances(plain, name)
-    for group, pattern in _VECTORS.items():
-        at = {
-            word: places(pattern.format(axis))
-            for word, axis in zip(GROUPS[group], "xyzw", strict=False)
-        }
-        for word, all_at in at.items():
-            for place in [at for at in all_at if numeric[at]][:1]:
-                if "velocity" not in group or not re.search(_OTHER_SPEED, names[place].lower()):
-                    name(place, word)
-    for place, word in enumerate(plain):
-        match = re.fullmatch(_ANGLE, word)
-        if match or (re.fullmatch(_THETA, word) and not places("phi|psi")):
-            axis = match[1] if match else "yaw"
-            unit = _UNITS.get(word.rpartition("_")[2], "") or _bracket(names[place])
-            name(place, f"{axis}_deg" if unit == "deg" else axis)
-    level = [places(_FIXES[word]) for word in ("latitude", "longitude")]
-    if all(level):
+    for place, word in _covariances(plain).items():
+        name(place, word)
+    theta_is_yaw = not places("phi|psi")
+    for pattern, template in _PATTERNS:
+        for place, word in enumerate(plain):
+            match = re.fullmatch(
+                pattern, re.sub(r"\Atheta", "yaw", word) if theta_is_yaw else word
+            )
+            if match is None or not numeric[place]:
+                continue
+            quantity = template.format(*match.groups())
+            if quantity in _ANGLES and _unit(names[place], word) == "deg":
+                quantity += "_deg"
+            if "v" not in quantity or not re.search(_OTHER_SPEED, names[place].lower()):
+                name(place, quantity)
+    if places(_FIXES["latitude"]) and places(_FIXES["longitude"]):
         for word, pattern in _FIXES.items():
             for place in places(pattern)[:1]:
                 name(place, word)
@@ -317,11 +293,6 @@ def _columns(
     return columns
 
 
-def _bracket(name: str) -> str:
-    match = re.search(_UNIT, name)
-    return _UNITS.get((match[1] or match[2] or "").strip().lower(), "") if match else ""
-
-
 def _name_time(names, plain, places, name, sample) -> None:  # type: ignore[no-untyped-def]
     """Name the column of timestamps, preferably of the header; without one, frame numbers."""
     joined = {  # places of nanoseconds, by that of their seconds
@@ -329,12 +300,13 @@ def _name_time(names, plain, places, name, sample) -> None:  # type: ignore[no-u
         for part in places(_NANOSECONDS)
         for place in places(re.sub("(?:nano|n)secs?$", "secs?", plain[part]))
     }
+    constant = list(map(_is_constant, sample.T))
     times = [place for place in places(_TIME) if place not in joined.values()]
-    still = [len(sample) > 1 and bool((column == column[0]).all()) for column in sample.T]
-    times.sort(key=lambda at: ("header_stamp" not in plain[at], at not in joined, still[at], at))
+    times.sort(
+        key=lambda at: ("header_stamp" not in plain[at], at not in joined, constant[at], at)
+    )
     for place in times[:1]:
-        unit = _bracket(names[place]) or _UNITS.get(plain[place].rpartition("_")[2], "")
-        unit = unit or ("us" if plain[place] == "utime" else "")
+        unit = "us" if plain[place] == "utime" else _unit(names[place], plain[place])
         name(place, f"t_{unit}" if unit in ("ns", "us", "ms", "s") else "t")
         if place in joined:
             name(joined[place], NANOSEC)
@@ -342,34 +314,32 @@ def _name_time(names, plain, places, name, sample) -> None:  # type: ignore[no-u
         if plain[place] == "receive_time":  # of Foxglove's tables
             name(place, RECEIVED)
     for place in places(_FRAME) if not times else ():
-        column = sample[:, place]
-        if np.isfinite(column).all() and not (len(column) > 1 and (column == column[0]).all()):
-            name(place, "t" if len(column) and column[0] > 1e8 else FRAME)
+        if np.isfinite(sample[:, place]).all() and not constant[place]:
+            name(place, "t" if len(sample) and sample[0, place] > 1e8 else FRAME)
             break
 
 
-def _name_covariances(plain, name) -> None:  # type: ignore[no-untyped-def]
-    """Name columns of covariances, numbered 0 to 35, 11 to 66 or 00 to 55, or named by axes."""
-    numbered = {
-        place: f"{match[1]}{match[2] or ''}"
-        for place, word in enumerate(plain)
-        if (match := re.fullmatch(_COVARIANCE, word))
-    }
-    digits = set(numbered.values())
-    first = 0 if any("0" in digit for digit in digits) else 1
-    for place, number in numbered.items():
-        if digits == {str(number) for number in range(36)}:
-            row, column = divmod(int(number), 6)
-        elif len(number) == 2:
-            row, column = int(number[0]) - first, int(number[1]) - first
-        else:
-            continue
-        if row < 6 and column < 6:
-            name(place, f"c{row + 1}{column + 1}")
+def _covariances(plain: Sequence[str]) -> dict[int, str]:
+    """Return names of covariances by column: numbered, named by axes, or of OpenVINS.
+
+    Numbers are 0 to 35, 11 to 66 or 00 to 55.
+    """
+    named, numbers = {}, {}
     for place, word in enumerate(plain):
-        if match := re.fullmatch(_PAIR, word) or re.fullmatch(_VARIANCE, word):
-            row, column = (_AXES.index(match[at]) + 1 for at in (1, match.lastindex or 1))
-            name(place, f"c{row}{column}")
+        if match := re.fullmatch(_COVARIANCE, word):
+            numbers[place] = f"{match[1]}{match[2] or ''}"
+        elif match := re.fullmatch(_PAIR, word):
+            row, column = _AXES.index(match[1] or match[2]), _AXES.index(match[2])
+            named[place] = f"c{row + 1}{column + 1}"
+        elif word in _MARGINALS:
+            named[place] = _MARGINALS[word]
+    counted = set(numbers.values()) == set(map(str, range(36)))
+    first = 0 if any("0" in digits for digits in numbers.values()) else 1
+    for place, digits in numbers.items():
+        if counted or len(digits) == 2:
+            row, column = divmod(int(digits), 6) if counted else (int(at) - first for at in digits)
+            named[place] = f"c{row + 1}{column + 1}" if max(row, column) < 6 else IGNORED
+    return named
 
 
 def _title(layout: Layout) -> str:

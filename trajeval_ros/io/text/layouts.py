@@ -8,7 +8,7 @@ from.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,15 +25,15 @@ from trajeval_ros.io.text.names import (
     IGNORED,
     TEXT,
     Layout,
-    with_pose,
 )
-from trajeval_ros.io.text.stamps import is_date, is_time_of_day, may_be_time
+from trajeval_ros.io.text.stamps import is_date, is_time_of_day, may_be_time, unit_of
 from trajeval_ros.io.text.states import ORTHONORMAL
 from trajeval_ros.io.text.table import TextTable, number
 from trajeval_ros.metrics.statistics import median
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
-_LEAST_NANOSECONDS = 1e12  # time of a file with commas: larger numbers are nanoseconds
+# Names for the columns of an unknown pose, by the least number of columns.
+_EXAMPLES = (7, "x y z qx qy qz qw"), (6, "x y z roll pitch yaw"), (3, "x y z"), (0, "x y")
 CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "axes north, east and down")
 _POSE, _POSE_W, _V = "t x y z qx qy qz qw", "t x y z qw qx qy qz", "vx vy vz"
@@ -115,8 +115,8 @@ KNOWN = (
 # fmt: on
 
 
-def _lengths(layout: Layout, values: Floats) -> Any:
-    lengths = np.linalg.norm(values[:, list(layout.groups["quaternion"])], axis=1)
+def _lengths(table: TextTable, layout: Layout, _: Floats) -> Any:
+    lengths = np.linalg.norm(table.values[:, list(layout.groups["quaternion"])], axis=1)
     lengths = lengths[np.isfinite(lengths) & (lengths > 0.0)]
     typical = 1.0 if len(lengths) < 3 else median(lengths)
     if abs(typical - 1.0) < 2e-2 or "spaces" not in layout.checks or layout.time is None:
@@ -124,8 +124,8 @@ def _lengths(layout: Layout, values: Floats) -> Any:
     return (np.abs(lengths - typical) < 1e-6 * typical) & (typical < 10.0)  # all scaled alike
 
 
-def _matrices(layout: Layout, values: Floats) -> Any:
-    axes = values[:, list(layout.groups["matrix"])].reshape(-1, 3, 4)[:, :, :3]
+def _matrices(table: TextTable, layout: Layout, _: Floats) -> Any:
+    axes = table.values[:, list(layout.groups["matrix"])].reshape(-1, 3, 4)[:, :, :3]
     axes = axes[np.isfinite(axes).all(axis=(1, 2))]
     errors = np.abs(axes @ np.swapaxes(axes, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
     return (errors < ORTHONORMAL) & (np.linalg.det(axes) > 0.0)
@@ -137,78 +137,70 @@ def _steps(column: Floats) -> bool:
     return bool(not signs.any() or abs(signs.sum()) >= 0.2 * np.abs(signs).sum())
 
 
-def _whole(column: Floats) -> Any:
-    return column == np.round(column)
+def _are_whole(column: Floats, end: float) -> Any:
+    """Return which values are whole numbers from zero below `end`."""
+    return (column == np.round(column)) & (column >= 0.0) & (column < end)
 
 
-def _time(layout: Layout, values: Floats) -> Floats:
-    assert layout.time is not None
-    return values[:, layout.time]
-
-
-def _counts(column: Floats) -> bool:
-    return bool((_whole(column) & (column < 1e8) & (column >= 0)).all())
-
-
-def _parts(layout: Layout, values: Floats) -> Any:
-    part, whole = values[:, 1], _time(layout, values)
-    return _whole(part) & (part >= 0.0) & (part < 1e9) & _whole(whole)
-
-
-# By the name in `Layout.checks`: which of the rows (N, C) pass.
+# By the name in `Layout.checks`: which rows of a table pass. The last argument is its times (N,).
 CHECKS: dict[str, Callable[[TextTable, Layout, Floats], Any]] = {
-    "spaces": lambda table, layout, values: table.separator in ("", "\t"),
-    "commas": lambda table, layout, values: table.separator not in ("", "\t") and not table.at_end,
-    "vins": lambda table, layout, values: table.at_end,
-    "time": lambda table, layout, values: _steps(_time(layout, values)),
-    "frames": lambda table, layout, values: _counts(_time(layout, values)),
-    "times": lambda table, layout, values: not _counts(_time(layout, values)),
-    "id": lambda table, layout, values: _whole(values[:, 0]),
-    "id_last": lambda table, layout, values: bool(
-        (_whole(values[:, -1]) & (np.diff(values[:, -1], prepend=-1.0) > 0.0)).all()),
-    "us": lambda table, layout, values: (values[:, 0] > 1e14) & (values[:, 0] < 4e15),
-    "angles": lambda table, layout, values: ~(np.abs(values[:, 4:7]) > 6.3).any(axis=1),
-    "unit": lambda table, layout, values: _lengths(layout, values),
-    "matrix": lambda table, layout, values: _matrices(layout, values),
-    "bottom": lambda table, layout, values: (values[:, -4:] == [0.0, 0.0, 0.0, 1.0]).all(axis=1),
-    "ros2": lambda table, layout, values: _parts(layout, values),
+    "spaces": lambda table, layout, times: table.separator in ("", "\t"),
+    "commas": lambda table, layout, times: table.separator not in ("", "\t") and not table.at_end,
+    "vins": lambda table, layout, times: table.at_end,
+    "time": lambda table, layout, times: _steps(times),
+    "frames": lambda table, layout, times: _are_whole(times, 1e8).all(),
+    "times": lambda table, layout, times: not _are_whole(times, 1e8).all(),
+    "id": lambda table, layout, times: table.values[:, 0] == np.round(table.values[:, 0]),
+    "id_last": lambda table, layout, times: (_are_whole(table.values[:, -1], np.inf)
+        & (np.diff(table.values[:, -1], prepend=-1.0) > 0.0)).all(),
+    "us": lambda table, layout, times: (times > 1e14) & (times < 4e15),
+    "angles": lambda table, layout, times: ~(np.abs(table.values[:, 4:7]) > 6.3).any(axis=1),
+    "unit": _lengths,
+    "matrix": _matrices,
+    "bottom": lambda table, layout, times: (table.values[:, -4:] == [0, 0, 0, 1]).all(axis=1),
+    "ros2": lambda table, layout, times: _are_whole(table.values[:, 1], 1e9)
+        & (times == np.round(times)),
 }  # fmt: skip
 
 
 def fits(table: TextTable, layout: Layout) -> bool:
     """Return whether the sample of a table has a layout."""
-    names = (
-        layout.columns[:-1] if table.at_end and layout.columns[-1] == IGNORED else layout.columns
-    )
+    names = layout.columns
+    if table.at_end and names[-1] == IGNORED:
+        names = names[:-1]
     if len(names) != table.columns or ("vins" in layout.checks) != table.at_end:
         return False
     for name, is_text in zip(names, table.texts.tolist(), strict=True):
         if is_text != (name == TEXT) and name != IGNORED:
             return False
+    times = table.values[:, layout.time or 0]
     with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
-        passed = [
-            np.atleast_1d(CHECKS[name](table, layout, table.values)) for name in layout.checks
-        ]
+        passed = [np.atleast_1d(CHECKS[name](table, layout, times)) for name in layout.checks]
     return all(not len(rows) or rows.mean() >= _MOST for rows in passed)
 
 
-def example_for(table: TextTable) -> str:
-    """Return names for all columns of a table that no layout describes, with `_` for text."""
-    words = table.sample[0]
-    date = next((at for at, word in enumerate(words) if is_date(word)), None)
-    clock = None
-    if date is not None and any(map(is_time_of_day, words[date + 1 : date + 2])):
-        clock = date + 1
-    places = [at for at in np.flatnonzero(~table.texts).tolist() if at not in (date, clock)]
-    time = date
-    if date is None and places and may_be_time(table.values[:, places[0]], table.columns):
-        time = places.pop(0)
-    columns = [IGNORED] * table.columns
-    if time is not None:
-        columns[time] = "t"
-    if clock is not None:
-        columns[clock] = CLOCK
-    return " ".join(with_pose(columns, places))
+def example_for(table: TextTable, known: Sequence[str] = ()) -> str:
+    """Return names for all columns of a table without a known position, with `_` for text.
+
+    `known`: names of the columns, as far as a header has them.
+    """
+    columns, words = list(known) or [IGNORED] * table.columns, table.sample[0]
+    time = Layout("", tuple(columns)).time
+    if time is None:
+        time = next((at for at, word in enumerate(words) if is_date(word)), None)
+        if time is not None:
+            columns[time] = "t"
+            if any(map(is_time_of_day, words[time + 1 : time + 2])):
+                columns[time + 1] = CLOCK
+    places = [
+        at for at in np.flatnonzero(~table.texts).tolist() if at != time and columns[at] != CLOCK
+    ]
+    if time is None and places and may_be_time(table.values[:, places[0]], table.columns):
+        columns[places.pop(0)] = "t"
+    pose = next(names for count, names in _EXAMPLES if count <= len(places))
+    for at, name in zip(places, pose.split(), strict=False):
+        columns[at] = name
+    return " ".join(columns)
 
 
 def by_rows(table: TextTable) -> Layout:
@@ -246,8 +238,8 @@ def by_rows(table: TextTable) -> Layout:
 
 def _by_unit_of_time(table: TextTable) -> Layout:
     """Return the layout of eight columns with commas: position and time are the same in both."""
-    first = np.abs(table.values[:, 0])
-    is_euroc = bool(np.nanmedian(first) > _LEAST_NANOSECONDS)
+    times = table.values[np.isfinite(table.values[:, 0]), 0]
+    is_euroc = unit_of(times, bool((times == np.round(times)).all())) == 1  # nanoseconds
     order, system = ("qw qx qy qz", "EuRoC") if is_euroc else ("qx qy qz qw", "TUM")
     layout = _EUROC_POSES if is_euroc else _TUM_COMMAS
     doubt = f"no header with the order of the quaternion: assumed {order}, as in {system}"

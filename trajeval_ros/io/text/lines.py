@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import io
 import re
 from collections.abc import Callable
@@ -17,12 +19,12 @@ HEAD = 1 << 16  # bytes from which a file is recognised
 _BUFFER = 1 << 18
 _LONGEST_LINE = 1 << 19
 _MOST = 1 << 32  # bytes after decompression
-# Compression by magic: the module that reads it.
+# Compression by magic: the modules that read it, of which one is installed but for zstd.
 _PACKED = {
-    b"\x1f\x8b": "gzip",
-    b"BZh": "bz2",
-    b"\xfd7zXZ\0": "lzma",
-    b"\x28\xb5\x2f\xfd": "zstd",
+    b"\x1f\x8b": ("gzip",),
+    b"BZh": ("bz2",),
+    b"\xfd7zXZ\0": ("lzma",),
+    b"\x28\xb5\x2f\xfd": ("compression.zstd", "backports.zstd", "zstandard"),
 }
 _UTF16, _BOM = (b"\xff\xfe", b"\xfe\xff"), b"\xef\xbb\xbf"
 # Beginnings of files that are no text with poses, and what to do with them.
@@ -66,9 +68,10 @@ class _Watched(io.BufferedIOBase):
         except Exception as error:  # zlib.error, lzma.LZMAError and ZstdError have no common base
             raise InputError(f"{self._path} is damaged: {error}") from error
         if b"\0" in block and not self.zeros and not block.startswith(_UTF16):
-            line = (
-                self._newlines_before(self._read) + block.count(b"\n", 0, block.index(b"\0")) + 1
-            )
+            end = self._read + block.index(b"\0")
+            with _opened(self._path)[0] as file:  # to count all lines would take time
+                parts = (file.read(min(_BUFFER, end - at)) for at in range(0, end, _BUFFER))
+                line = 1 + sum(part.count(b"\n") for part in parts)
             raise InputError(
                 f"{self._path}, line {line}: contains zero bytes, as after a crash of the "
                 "recorder; correct or remove the line"
@@ -85,14 +88,6 @@ class _Watched(io.BufferedIOBase):
         return block
 
     read = read1
-
-    def _newlines_before(self, offset: int) -> int:
-        """Return the number of line ends in the first bytes; counting all would take time."""
-        with _opened(self._path)[0] as file:
-            return sum(
-                file.read(min(_BUFFER, offset - at)).count(b"\n")
-                for at in range(0, offset, _BUFFER)
-            )
 
 
 def open_lines(path: Path, advance: Advance | None = None) -> io.TextIOWrapper:
@@ -113,34 +108,23 @@ def is_plain(path: Path) -> bool:
     """Return whether numpy can read the lines of a file as `open_lines` does."""
     with path.open("rb") as file:
         beginning = file.read(8)
-    others = (*_PACKED, *_UTF16, _BOM)
-    return path.suffix not in (".gz", ".bz2", ".xz") and not beginning.startswith(others)
+    is_packed = path.suffix in (".gz", ".bz2", ".xz")  # numpy goes by the name
+    return not is_packed and not beginning.startswith((*_PACKED, *_UTF16, _BOM))
 
 
 def _opened(path: Path) -> tuple[IO[bytes], IO[bytes]]:
     """Return the bytes of a file without its compression, and the file."""
     inner = path.open("rb", buffering=0)
-    try:
-        beginning = inner.read(8)
-        inner.seek(0)
-        module = next((name for magic, name in _PACKED.items() if beginning.startswith(magic)), "")
-        return (_unpacked(path, module, inner) if module else inner), inner
-    except BaseException:
-        inner.close()
-        raise
-
-
-def _unpacked(path: Path, module: str, inner: IO[bytes]) -> IO[bytes]:
-    import importlib
-
-    names = {"zstd": ("compression.zstd", "backports.zstd", "zstandard")}.get(module, (module,))
-    for name in names:
-        try:
-            reader = importlib.import_module(name)
-        except ImportError:
-            continue
-        return reader.open(inner, "rb")  # type: ignore[no-any-return]
-    raise InputError(f"{path} is compressed with {module}; decompress it: unzstd {path.name}")
+    beginning = inner.read(8)
+    inner.seek(0)
+    modules = next((names for magic, names in _PACKED.items() if beginning.startswith(magic)), ())
+    for name in modules:
+        with contextlib.suppress(ImportError):
+            return importlib.import_module(name).open(inner, "rb"), inner
+    if not modules:
+        return inner, inner
+    inner.close()
+    raise InputError(f"{path} is compressed with zstd; decompress it: unzstd {path.name}")
 
 
 def head_of(path: Path) -> Head:

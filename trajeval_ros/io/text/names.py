@@ -71,8 +71,6 @@ NAMES = (
     *TIMES, CLOCK, RECEIVED, *dict.fromkeys(name for group in GROUPS.values() for name in group),
     *(f"{axis}_{unit}" for unit in ("mm", "cm", "km") for axis in _XYZ), IGNORED,
 )  # fmt: skip
-# Names for the columns of an unknown pose, by the least number of columns.
-_EXAMPLES = (7, "x y z qx qy qz qw"), (6, "x y z roll pitch yaw"), (3, "x y z"), (0, "x y")
 AS_NAMED = "columns as named"  # name of the layout of --columns
 EXAMPLE = "--columns 't x y z qw qx qy qz'"
 FAST_LIO = "FAST-LIO"
@@ -143,13 +141,6 @@ class Layout:
     def is_geographic(self) -> bool:
         """Whether the positions are GNSS fixes: latitude and longitude."""
         return not {"place", "level_place"}.isdisjoint(self.groups)
-
-
-def with_pose(columns: Sequence[str], places: Sequence[int]) -> list[str]:
-    """Return names of columns with those of a pose at some places, as an example."""
-    pose = next(names for count, names in _EXAMPLES if count <= len(places))
-    changed = dict(zip(places, pose.split(), strict=False))
-    return [changed.get(at, name) for at, name in enumerate(columns)]
 
 
 def layout_of(columns: Sequence[str]) -> Layout:

@@ -10,8 +10,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.text.names import GROUPS, RECEIVED, TIMES, Layout
-from trajeval_ros.io.text.table import Rows
+from trajeval_ros.io.text.names import DATE, GROUPS, Layout
+from trajeval_ros.io.text.table import EXACT, Rows
 
 _MATRIX, _POSE = " ".join(GROUPS["matrix"]), "x y z qx qy qz qw"
 _SHAPES = {
@@ -21,7 +21,6 @@ _SHAPES = {
 _SAID = "(N, 4, 4), (N, 3, 4), (N, 16), (N, 12), (N, 8), (N, 7), (N, 4) and (N, 3)"
 _TIMES = ("tstamps", "timestamps", "times")
 _EVO_RESULT = {"info.json", "stats.json"}  # files in a result of evo
-_UNIT = 1e-2  # largest deviation of a quaternion's length
 
 
 def load(path: Path) -> tuple[Any, Floats | None]:
@@ -36,41 +35,30 @@ def load(path: Path) -> tuple[Any, Floats | None]:
                     "compared, as in trajeval evaluate GROUNDTRUTH ESTIMATE --protocol evo"
                 )
             file.seek(0)
-            content = np.load(file, allow_pickle=False)
-            arrays = (
-                {}
-                if isinstance(content, np.ndarray)
-                else {name: content[name] for name in content.files[:50]}
-            )
+            content: Any = np.load(file, allow_pickle=False)
+            if not isinstance(content, np.ndarray):
+                content = {name: content[name] for name in content.files[:50]}
     except InputError:
         raise
     except Exception as error:  # zipfile and zlib have types of their own
         raise InputError(f"{path} is not a readable array of numpy ({error})") from error
-    if isinstance(content, np.ndarray):
-        return _of_numbers(path, content), None
-    poses = {
-        name: array
-        for name, array in arrays.items()
-        if array.ndim > 1 and array.shape[1:] in _SHAPES
-    }
-    if len(poses) != 1:
-        raise InputError(
-            f"{path} has {counted(len(poses), 'array')} of poses "
-            f"({', '.join(arrays) or 'none'}); save one of shape {_SAID} as .npy"
-        )
-    ((_, array),) = poses.items()
-    times = [
-        column
-        for name, column in arrays.items()
-        if column.shape == (len(array),) and "t" in name.lower()
-    ]
-    return _of_numbers(path, array), times[0].astype(np.float64) if len(times) == 1 else None
-
-
-def _of_numbers(path: Path, array: Any) -> Any:
+    array, times = content, []
+    if isinstance(content, dict):
+        poses = [part for part in content.values() if part.ndim > 1 and part.shape[1:] in _SHAPES]
+        if len(poses) != 1:
+            raise InputError(
+                f"{path} has {counted(len(poses), 'array')} of poses "
+                f"({', '.join(content) or 'none'}); save one of shape {_SAID} as .npy"
+            )
+        array = poses[0]
+        times = [
+            part
+            for name, part in content.items()
+            if part.shape == (len(array),) and "t" in name.lower()
+        ]
     if array.dtype.kind not in "fiu":
         raise InputError(f"{path} has values of type {array.dtype}; save an array of numbers")
-    return array
+    return array, times[0].astype(np.float64) if len(times) == 1 else None
 
 
 def rows_of(path: Path, array: Any, named: Layout | None = None) -> tuple[Layout, Rows]:
@@ -88,18 +76,17 @@ def rows_of(path: Path, array: Any, named: Layout | None = None) -> tuple[Layout
                 "{option} 't x y z qw qx qy qz'"
             )
         note = "float32: 7 digits" if array.dtype == np.float32 else ""
-        layout = Layout(
-            f"numpy ({', '.join(['N', *map(str, array.shape[1:])])})", tuple(names.split()), note
-        )
+        shape = ", ".join(["N", *map(str, array.shape[1:])])
+        layout = Layout(f"numpy ({shape})", tuple(names.split()), note)
         _check(path, layout, rows)
     if len(layout.columns) > rows.shape[1]:
         raise InputError(
             f"{path} has shape {array.shape}, and {{option}} names "
             f"{counted(len(layout.columns), 'column')}; name fewer"
         )
-    texts = {
-        name: rows[:, at] for at, name in enumerate(layout.columns) if name in (*TIMES, RECEIVED)
-    }
+    if layout.time_name == DATE:
+        raise InputError(f"{path} has numbers, and no dates; name the column of times t")
+    texts = {name: rows[:, at] for at, name in enumerate(layout.columns) if name in EXACT}
     groups = {group: rows[:, list(places)] for group, places in layout.groups.items()}
     return layout, Rows(len(rows), texts, groups)
 
@@ -108,20 +95,19 @@ def _check(path: Path, layout: Layout, rows: Floats) -> None:
     """Refuse rows that are not the poses of their layout."""
     from trajeval_ros.geometry.array_input import require_poses
 
-    try:
-        if "matrix" in layout.groups:
+    if "matrix" in layout.groups:
+        try:
             require_poses(rows.reshape(len(rows), -1, 4))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
     if "quaternion" in layout.groups:
-        usable = rows[np.isfinite(rows).all(axis=1)]
-        first = 0 if layout.time is None else 1
+        finite = rows[np.isfinite(rows).all(axis=1), layout.time_name == "t" :]
         with np.errstate(over="ignore", invalid="ignore"):
-            unit, other = (
-                bool((np.abs(np.linalg.norm(usable[:, places], axis=1) - 1.0) < _UNIT).all())
-                for places in (list(layout.groups["quaternion"]), list(range(first, first + 4)))
+            last, first = (
+                bool((np.abs(np.linalg.norm(four, axis=1) - 1.0) < 1e-2).all())
+                for four in (finite[:, 3:], finite[:, :4])
             )
-        if not unit or other:
+        if first or not last:
             raise InputError(
                 f"{path}: it is unclear which of the {rows.shape[1]} columns are the quaternion; "
                 "name them, as in {option} 't x y z qw qx qy qz'"
@@ -138,8 +124,3 @@ def files_of_times(path: Path) -> list[Path]:
     folder = path / "x" if path.is_dir() else path
     paths = [folder.with_name(name) for name in names]
     return [file for file in paths if file.is_file() and file != path]
-
-
-def is_numbered(times: Floats) -> bool:
-    """Return whether times next to an array are frame numbers."""
-    return bool((times == np.round(times)).all() and np.abs(times).max(initial=0.0) < 1e7)

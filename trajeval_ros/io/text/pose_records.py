@@ -6,6 +6,7 @@ table, so that one reader checks and converts all. Blank lines keep the numbers 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import re
@@ -35,7 +36,6 @@ _KEY = re.compile(r"(\s*)(?:- )?([A-Za-z_][\w ]*):\s*(.*)")
 _NO_POSE = "no_position_or_not_tracking"
 _LARGEST = 1 << 28  # bytes of a JSON document
 _END = 3 * "-"  # line after a message in YAML
-_STATUS = ("status", "trackingStatus")
 
 
 def rewritten(path: Path, head: Sequence[str]) -> Records | None:
@@ -125,26 +125,31 @@ def _blocks(path: Path, advance: Advance | None, size: int) -> Iterator[str]:
 
 def _folder(path: Path) -> Records | None:
     """Return the poses of a folder with one matrix per file, by the numbers in their names."""
-    files = {}
-    for file in sorted(path.iterdir()):
-        digits = re.findall(r"\d+", file.name.split(".")[0])
-        if file.suffix == ".txt" and digits and file.stat().st_size < 4096:
-            files[int(digits[-1])] = file
-    if not files:
-        return None
-    if len(next(iter(files.values())).read_text("latin-1").split()) not in (12, 16):
-        return None
+    files = {
+        int(digits[-1]): file
+        for file in sorted(path.iterdir())
+        if file.suffix == ".txt"
+        and (digits := re.findall(r"\d+", file.name.split(".")[0]))
+        and file.stat().st_size < 4096
+    }
+
+    def matrix_in(file: Path) -> list[str]:
+        words = file.read_text("latin-1").split()
+        if len(words) not in (12, 16):
+            raise InputError(
+                f"{file} is not a 4 x 4 matrix: 12 or 16 numbers expected, found {len(words)}"
+            )
+        return words[:12]
 
     def lines(_: object) -> Iterator[str]:
         for frame, file in sorted(files.items()):
-            words = file.read_text("latin-1").split()
-            if len(words) not in (12, 16):
-                raise InputError(
-                    f"{file} is not a 4 x 4 matrix: 12 or 16 numbers expected, found {len(words)}"
-                )
-            yield f"{frame} {' '.join(words[:12])} 0 0 0 1\n"
+            yield f"{frame} {' '.join(matrix_in(file))} 0 0 0 1\n"
 
-    return Records(lines, _FOLDER)
+    with contextlib.suppress(InputError):
+        for file in files.values():
+            matrix_in(file)
+            return Records(lines, _FOLDER)
+    return None
 
 
 def _table_of(path: Path, records: Iterable[Mapping[str, str]]) -> Iterator[str]:
@@ -169,7 +174,7 @@ def _messages(path: Path, advance: Advance | None) -> Iterator[dict[str, str]]:
     record: dict[str, str] = {}
     above: list[tuple[int, str]] = []
     with open_lines(path, advance) as lines:
-        for line in map(str.rstrip, lines):
+        for line in itertools.chain(map(str.rstrip, lines), [_END]):
             if line == _END:
                 if _has_position(record):
                     yield record
@@ -177,30 +182,26 @@ def _messages(path: Path, advance: Advance | None) -> Iterator[dict[str, str]]:
             match = _KEY.match(line)
             if match is None:
                 continue
-            depth = len(match[1])
-            above = [parent for parent in above if parent[0] < depth]
-            key = ".".join([name for _, name in above] + [match[2]])
-            if not match[3]:
-                above.append((depth, match[2]))
-            elif match[3].startswith("["):
-                record |= {
-                    f"{key}{at}": word.strip(" ]")
-                    for at, word in enumerate(match[3][1:].split(","))
-                }
+            indent, name, value = match.groups()
+            above = [parent for parent in above if parent[0] < len(indent)]
+            key = ".".join([*(parent for _, parent in above), name])
+            if not value:
+                above.append((len(indent), name))
+            elif value.startswith("["):
+                words = value[1:].split(",")
+                record |= {f"{key}{at}": word.strip(" ]") for at, word in enumerate(words)}
             else:
-                record[key] = match[3].strip("'\"").replace("\t", " ")
-    if _has_position(record):
-        yield record
+                record[key] = value.strip("'\"").replace("\t", " ")
 
 
 def _json(path: Path, left_out: dict[str, int]) -> Iterator[dict[str, str]]:
     """Yield the numbers of every record; those without a position are left out and counted."""
     left_out.clear()
     for record in _objects(path):
-        is_object = isinstance(record, dict)
-        states = [record.get(key) for key in _STATUS] if is_object else []
+        fields = record if isinstance(record, dict) else {}
+        states = [fields.get(key) for key in ("status", "trackingStatus")]
         words = [state for state in states if isinstance(state, str) and not state.isdigit()]
-        values = dict(_flat(record, "wxyz" if is_object and "token" in record else ""))
+        values = dict(_flat(record, "wxyz" if "token" in fields else ""))
         if _has_position(values) and all(word.upper() == "TRACKING" for word in words):
             yield values
         else:
@@ -245,21 +246,18 @@ def _flat(
 
     `order`: of a list of four numbers, "" if it is unknown.
     """
-    if isinstance(record, Mapping) and depth < 20:
-        for key, value in record.items():
-            yield from _flat(value, order, f"{before}.{key}" if before else str(key), depth + 1)
-    elif (
-        isinstance(record, list)
-        and len(record) in (3, 4)
-        and all(isinstance(part, list) and len(part) == 4 for part in record)
-    ):
-        for row, part in enumerate(record[:3], 1):
-            yield from ((f"{before}.m{row}{at}", str(value)) for at, value in enumerate(part, 1))
-    elif isinstance(record, list) and depth < 20:
-        names = {3: "xyz", 4: order}.get(len(record)) or [
-            str(at) for at in range(min(len(record), 99))
-        ]
-        for name, value in zip(names, record, strict=False):
-            yield from _flat(value, order, f"{before}.{name}", depth + 1)
+    parts: Iterable[tuple[object, Any]] = ()
+    if isinstance(record, Mapping):
+        parts = record.items()
+    elif isinstance(record, list):
+        names = {3: "xyz", 4: order}.get(len(record)) or range(min(len(record), 99))
+        parts = zip(names, record, strict=False)
+        if len(record) in (3, 4) and all(
+            isinstance(row, list) and len(row) == 4 for row in record
+        ):  # a matrix
+            entries = itertools.product(range(1, 4), range(1, 5))
+            parts = [(f"m{row}{at}", str(record[row - 1][at - 1])) for row, at in entries]
     elif isinstance(record, str):
         yield before, record.replace("\t", " ").replace("\n", " ").strip()[:60]
+    for name, value in parts if depth < 20 else ():
+        yield from _flat(value, order, f"{before}.{name}" if before else str(name), depth + 1)

@@ -17,7 +17,6 @@ from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_rotations, check_stamps
-from trajeval_ros.io.text.arrow_rows import read_with_arrow
 from trajeval_ros.io.text.geographic import ANY_GGA, fixes_of, read_nmea
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.layouts import fits
@@ -40,8 +39,6 @@ from trajeval_ros.io.text.stamps import is_clock
 from trajeval_ros.io.text.states import states_of
 from trajeval_ros.io.text.table import Rows, TextTable, read_rows
 from trajeval_ros.io.text.times import nanosecond_parts, receptions_of, times_of, with_times
-
-_LFS = b"version https://git-lfs.github.com/"
 
 
 def read_text(
@@ -105,7 +102,7 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     if path.is_file():
         with path.open("rb") as file:
             beginning = file.read(HEAD)
-    if beginning.startswith(_LFS):
+    if beginning.startswith(b"version https://git-lfs.github.com/"):
         import shlex
 
         raise InputError(
@@ -114,18 +111,16 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
         )
     if b"GGA," in beginning and re.search(ANY_GGA, beginning.replace(b"\r", b"\n")):
         return read_nmea(path)
-    if beginning.startswith(b"\x93NUMPY") or (
-        beginning.startswith(b"PK\x03\x04") and b".npy" in beginning
-    ):
-        named = layout_of(hints.columns) if hints.columns else None
+    is_zip = beginning.startswith(b"PK\x03\x04") and b".npy" in beginning
+    if is_zip or beginning.startswith(b"\x93NUMPY"):
         array, times = load(path)
-        layout, rows = rows_of(path, array, named)
+        layout, rows = rows_of(path, array, layout_of(hints.columns) if hints.columns else None)
         if layout.time is None and hints.frame_rate_hz is None:
             layout, rows = with_times(layout, rows, origin, times)
         return trajectory_of(path, layout, rows, hints, origin)
     table, layout = _recognised(path, hints.columns)
     layout = with_dates(table, layout)
-    rows = read_with_arrow(table, layout, advance) or read_rows(table, layout, advance)
+    rows = read_rows(table, layout, advance)
     return trajectory_of(path, layout, rows, hints, origin, table.left_out)
 
 
@@ -141,24 +136,26 @@ def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout
             f"{path} is read as {known.name} ({' '.join(known.columns)}); remove {{option}}"
         )
     table = sniff(path, columns or (known.columns if known else ()), records, head)
-    if columns:
-        layout = layout_of((*columns, *(IGNORED,) * (table.columns - len(columns))))
-        if known is not None:
-            layout = dataclasses.replace(layout, up=known.up, inverse=known.inverse)
-        for at in range(len(columns), table.columns):
-            if layout.time is None and is_clock(table.values[:, at]):
-                named = " ".join((*columns, *(IGNORED,) * (at - len(columns))))
-                raise InputError(
-                    f"column {at + 1} has no name and may be the time: "
-                    f"{', '.join(row[at] for row in table.sample[:3])} ...; use "
-                    f"{{option}} '{named} t', or {{option}} '{named} _' to ignore it"
-                )
-        return table, layout
-    if known is None:
-        return table, layout_of_table(table)
-    if known.name != "g2o" and not fits(table, known):
-        raise InputError(f"{path} looks like {known.name}, but its numbers do not; check the file")
-    return table, known
+    if not columns:
+        if known is None:
+            return table, layout_of_table(table)
+        if known.name != "g2o" and not fits(table, known):
+            raise InputError(
+                f"{path} looks like {known.name}, but its numbers do not; check the file"
+            )
+        return table, known
+    layout = layout_of((*columns, *(IGNORED,) * (table.columns - len(columns))))
+    if known is not None:
+        layout = dataclasses.replace(layout, up=known.up, inverse=known.inverse)
+    for at in range(len(columns), table.columns):
+        if layout.time is None and is_clock(table.values[:, at]):
+            named = " ".join(layout.columns[:at])
+            raise InputError(
+                f"column {at + 1} has no name and may be the time: "
+                f"{', '.join(row[at] for row in table.sample[:3])} ...; use "
+                f"{{option}} '{named} t', or {{option}} '{named} _' to ignore it"
+            )
+    return table, layout
 
 
 def trajectory_of(
@@ -174,28 +171,24 @@ def trajectory_of(
     `left_out`: numbers of records that are no rows, by reason.
     """
     times = times_of(path, layout, rows, hints.frame_rate_hz, origin)
-    stamps = times.stamps
-    groups = rows.groups
+    count, stamps = rows.count, times.stamps
     if times.kept is not None:
-        groups = {name: column[times.kept] for name, column in groups.items()}
-    if NANOSEC in groups and times.stamped:
+        rows = rows.where(times.kept)
+    groups, has_times = rows.groups, times.stamped and len(stamps) > 0
+    if NANOSEC in groups and has_times:
         stamps = stamps + nanosecond_parts(path, groups[NANOSEC][:, 0])
-    if times.stamped and len(stamps):
+    if has_times:
         check_stamps(stamps, str(path))
-    remarks = [
-        note(NAMED_COLUMNS if layout.name == AS_NAMED else FORMAT, f"format: {layout.name}")
-    ]
-    if layout.note:
-        remarks.append(note("layout", layout.note))
-    if layout.doubt:
-        remarks.append(warning("quaternion_order", layout.doubt))
+    code = NAMED_COLUMNS if layout.name == AS_NAMED else FORMAT
     reading = SourceInfo(
         columns=layout.named(times.name),
         stamped=times.stamped,
         numbered=times.numbered or layout.time_name in (FRAME, FRAME_1),
-        dropped={"not_finite": rows.count - len(stamps), **left_out},
+        dropped={"not_finite": count - len(stamps), **left_out},
         remarks=(
-            *remarks,
+            note(code, f"format: {layout.name}"),
+            *([note("layout", layout.note)] if layout.note else ()),
+            *([warning("quaternion_order", layout.doubt)] if layout.doubt else ()),
             *(
                 dataclasses.replace(remark, text=hints.in_message(remark.text))
                 for remark in times.remarks
@@ -205,11 +198,8 @@ def trajectory_of(
     if layout.is_geographic:
         return fixes_of(path, stamps, groups, reading)
     receptions = None
-    if RECEIVED in rows.texts and times.stamped and len(stamps):
-        received = rows.texts[RECEIVED]
-        receptions = receptions_of(
-            path, stamps, received if times.kept is None else received[times.kept]
-        )
+    if RECEIVED in rows.texts and has_times:
+        receptions = receptions_of(path, stamps, rows.texts[RECEIVED])
     states = states_of(path, layout, groups, len(stamps))
     quaternions, judgement = check_rotations(states.quaternions)
     trajectory = Trajectory.from_columns(
@@ -225,7 +215,7 @@ def trajectory_of(
     )  # fmt: skip
     if not len(trajectory):
         raise InputError(
-            f"{path}: no valid pose in {counted(rows.count, 'row')} (NaN, zero quaternions, "
+            f"{path}: no valid pose in {counted(count, 'row')} (NaN, zero quaternions, "
             "or positions beyond the limit)"
         )
     return trajectory

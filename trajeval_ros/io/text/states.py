@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,17 +14,11 @@ from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.array_input import quaternions_of
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.text.names import BODY_TWISTS, EXAMPLE, FAST_LIO, GROUPS, Layout
+from trajeval_ros.io.text.names import BODY_TWISTS, EXAMPLE, FAST_LIO, GROUPS, ROTATIONS, Layout
 
 _LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, with a margin for rounded digits
-_LARGEST_SUM = 1e9  # rad; larger sums of angles have too few digits for the angle itself
-_COVARIANCES = {
-    *("covariance", "covariance_upper", "covariance_lower", "variances"),
-    *("rotation_covariance", "position_covariance"),
-}
 ORTHONORMAL = 1e-2  # largest error of a rotation matrix times its transpose
 _METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
-_NO_Z = note("no_height", "no column z: assumed 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +38,12 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
 
     `groups`: columns (N, width), by the name of their group in the layout.
     """
-    remarks = []
     if layout.unit not in _METRES:
         raise InputError(
             f"{path}: its positions are in {layout.unit}, not all in m, mm, cm or km; convert "
             f"them, and name the columns with {EXAMPLE}"
         )
-    matrices = None
+    remarks, matrices = [], None
     if "matrix" in groups:
         whole = groups["matrix"].reshape(-1, 3, 4)
         matrices, positions = whole[:, :, :3], np.ascontiguousarray(whole[:, :, 3])
@@ -57,41 +51,28 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
         if layout.checks:  # its first rows are rotations; a damaged one is dropped
             with np.errstate(over="ignore", invalid="ignore"):
                 products = matrices @ np.swapaxes(matrices, 1, 2)
-                wrong = ~(np.abs(products - np.eye(3)).max(axis=(1, 2)) < ORTHONORMAL)
-            if wrong.any():
-                rotations = np.where(wrong[:, None], np.nan, rotations)
+                right = np.abs(products - np.eye(3)).max(axis=(1, 2)) < ORTHONORMAL
+            rotations = np.where(right[:, None], rotations, np.nan)
         quaternions: Floats | None = rotations
     else:
-        quaternions = groups.get("quaternion")
-        if quaternions is None and "rotation_vector" in groups:
-            vectors = groups["rotation_vector"]
-            longest = np.linalg.norm(vectors, axis=1).max(initial=0.0)
-            if layout.name == FAST_LIO and longest > np.pi + 1e-3:
-                raise InputError(
-                    f"{path}: columns 2 to 4 are longer than pi, so no rotation vectors; those of "
-                    f"Point-LIO are angles: --columns 't roll pitch yaw x y z {'_ ' * 17}_'"
-                )
-            quaternions = lie.from_rotation_vector(vectors)
-        if quaternions is None:
-            quaternions = _of_angles(path, layout, groups, count)
+        quaternions = _rotations(path, layout, groups, count)
         if "position" in groups:
             positions = groups["position"]
         else:
             positions = np.column_stack([groups["planar"], np.zeros(count)])
-            remarks.append(_NO_Z)
+            remarks.append(note("no_height", "no column z: assumed 0"))
     if layout.unit != "m":
         positions = positions * _METRES[layout.unit]
         remarks.append(note("unit", f"positions converted from {layout.unit} to m"))
     if layout.inverse and quaternions is not None:
         quaternions = quaternions * [-1.0, -1.0, -1.0, 1.0]
         positions = -lie.rotate(_usable(quaternions), positions)
-    velocities = groups.get("velocity")
-    if velocities is None and "body_velocity" in groups and quaternions is not None:
-        velocities = lie.rotate(_usable(quaternions), groups["body_velocity"])
-    covariances = None
-    if quaternions is not None and _COVARIANCES & groups.keys():
-        covariances, notes = _covariances(layout, groups, _usable(quaternions))
-        remarks += notes
+    velocities, covariances = groups.get("velocity"), None
+    if quaternions is not None:
+        if velocities is None and "body_velocity" in groups:
+            velocities = lie.rotate(_usable(quaternions), groups["body_velocity"])
+        covariances, axes = _covariances(layout, groups, quaternions)
+        remarks += [note("covariance_axes", axes)] if axes else []
     return States(positions, quaternions, velocities, covariances, matrices, tuple(remarks))
 
 
@@ -103,70 +84,75 @@ def _usable(quaternions: Floats) -> Floats:
     return rotations
 
 
-def _of_angles(
+def _rotations(
     path: Path, layout: Layout, groups: Mapping[str, Floats], count: int
 ) -> Floats | None:
-    """Return the quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll); None without angles."""
-    group = next(
-        (name for name in ("angles", "angles_deg", "heading", "heading_deg") if name in groups),
-        None,
-    )
-    if group is None:
-        return None
-    angles = groups[group]
+    """Return the quaternions (N, 4) of one of `ROTATIONS`; None without one.
+
+    Angles are those of R = Rz(yaw) Ry(pitch) Rx(roll).
+    """
+    group = next((name for name in ROTATIONS if name in groups), None)
+    if group is None or group == "quaternion":
+        return groups.get("quaternion")
+    values = groups[group]
+    if group == "rotation_vector":
+        longest = np.linalg.norm(values, axis=1).max(initial=0.0)
+        if layout.name == FAST_LIO and longest > np.pi + 1e-3:
+            raise InputError(
+                f"{path}: columns 2 to 4 are longer than pi, so no rotation vectors; those of "
+                f"Point-LIO are angles: --columns 't roll pitch yaw x y z {'_ ' * 17}_'"
+            )
+        return lie.from_rotation_vector(values)
     if group.endswith("_deg"):
-        angles = np.radians(angles)
+        values = np.radians(values)
     elif layout.name != "g2o":  # its angles can be sums of several turns
-        beyond = np.abs(angles) > _LARGEST_ANGLE
+        beyond = np.abs(values) > _LARGEST_ANGLE
         if beyond.any():
             row, column = np.argwhere(beyond)[0]
             name = GROUPS[group][column]
             raise InputError(
-                f"{path}, row {row + 1}: {name} is {angles[row, column]:g}, which is not in "
+                f"{path}, row {row + 1}: {name} is {values[row, column]:g}, which is not in "
                 f"radians; if it is in degrees, name the column {name}_deg"
             )
-    angles = np.where(np.abs(angles) < _LARGEST_SUM, angles, np.nan)  # NaN: the row is dropped
-    roll, pitch, yaw = angles.T if angles.shape[1] == 3 else (0.0, 0.0, angles[:, 0])
+    # Larger sums of angles have too few digits for the angle itself: the row is dropped.
+    angles = np.zeros((count, 3))
+    angles[:, -values.shape[1] :] = np.where(np.abs(values) < 1e9, values, np.nan)
     vectors = np.zeros((3, count, 3))
-    for axis, angle in enumerate((roll, pitch, yaw)):
-        vectors[axis, :, axis] = angle
+    vectors[range(3), :, range(3)] = angles.T
     about_x, about_y, about_z = map(lie.from_rotation_vector, vectors)
     return lie.normalized(lie.multiply(lie.multiply(about_z, about_y), about_x))
 
 
 def _covariances(
     layout: Layout, groups: Mapping[str, Floats], quaternions: Floats
-) -> tuple[Floats | None, list[Remark]]:
-    """Return covariances (N, 6, 6) about the axes of the fixed frame, and remarks on them.
+) -> tuple[Floats | None, str]:
+    """Return covariances (N, 6, 6) about the axes of the fixed frame, and what is assumed.
 
     The covariances are None if only one of position and rotation covariance is present.
     """
-    count = len(quaternions)
-    covariances = np.zeros((count, 6, 6))
-    if "rotation_covariance" in groups and "position_covariance" in groups:
-        from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
+    upper = np.array(np.triu_indices(3))
+    places: dict[str, Any] = {  # rows and columns of the entries
+        "covariance": np.indices((6, 6)).reshape(2, -1),
+        "covariance_upper": np.triu_indices(6),
+        "covariance_lower": np.tril_indices(6),
+        "variances": np.diag_indices(6),
+        "position_covariance": upper,
+        "rotation_covariance": upper + 3,
+    }
+    present = places.keys() & groups.keys()
+    if not present or present in ({"position_covariance"}, {"rotation_covariance"}):
+        return None, ""
+    covariances = np.zeros((len(quaternions), 6, 6))
+    for group in present:
+        rows, columns = places[group]
+        covariances[:, columns, rows] = covariances[:, rows, columns] = groups[group]
+    is_of_openvins = "rotation_covariance" in present
+    if is_of_openvins or layout.covariances == BODY_TWISTS:
+        from trajeval_ros.geometry import covariance_frames
 
-        rows, columns = np.triu_indices(3)
-        for first, group in ((0, "position_covariance"), (3, "rotation_covariance")):
-            covariances[:, rows + first, columns + first] = groups[group]
-            covariances[:, columns + first, rows + first] = groups[group]
+        matrices = lie.to_matrix(_usable(quaternions))
+        if not is_of_openvins:
+            return covariance_frames.world_from_body_twists(covariances, matrices), ""
         axes = "rotation covariances rotated from the body frame (OpenVINS) to the fixed frame"
-        rotated = world_from_body_rotations(covariances, lie.to_matrix(quaternions))
-        return rotated, [note("covariance_axes", axes)]
-    if "covariance" in groups:
-        covariances = groups["covariance"].reshape(-1, 6, 6)
-    elif "covariance_upper" in groups or "covariance_lower" in groups:
-        upper = "covariance_upper" in groups
-        rows, columns = np.triu_indices(6) if upper else np.tril_indices(6)
-        values = groups["covariance_upper" if upper else "covariance_lower"]
-        covariances[:, rows, columns] = covariances[:, columns, rows] = values
-    elif "variances" in groups:
-        covariances[:, range(6), range(6)] = groups["variances"]
-    else:
-        return None, []
-    if layout.covariances == BODY_TWISTS:
-        from trajeval_ros.geometry.covariance_frames import world_from_body_twists
-
-        return world_from_body_twists(covariances, lie.to_matrix(quaternions)), []
-    axes = "covariances read as position first, in the fixed frame"
-    return np.ascontiguousarray(covariances), [note("covariance_axes", axes)]
+        return covariance_frames.world_from_body_rotations(covariances, matrices), axes
+    return covariances, "covariances read as position first, in the fixed frame"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from trajeval_ros.io.text.names import (
     UNPADDED,
     Layout,
 )
-from trajeval_ros.io.text.numpy_files import files_of_times, is_numbered, load
+from trajeval_ros.io.text.numpy_files import files_of_times, load
 from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import WIDTH, dates, exact, to_stamps, unit_of, unpadded
 from trajeval_ros.io.text.table import Rows, number, read_rows
@@ -37,6 +38,11 @@ from trajeval_ros.metrics.statistics import median
 
 ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
 _FRAMES = 10**8  # limit of frame numbers
+_TIMES = Layout("times", ("t",))  # of a file next to the poses
+# Names of columns of times and their units, as messages name them.
+_WORDS = {
+    "t_s": "seconds", "t_ms": "milliseconds", "t_us": "microseconds", "t_ns": "nanoseconds"
+}  # fmt: skip
 _NUMBERED = ("TUM", "numpy (N, 7)", AS_NAMED)  # layouts whose first column can count frames
 
 
@@ -58,15 +64,13 @@ def times_of(
 ) -> Times:
     """Return the timestamps of rows, from their column or from a file next to it, or by a rate."""
     if layout.time is None:
-        return _of_frames(layout, np.arange(rows.count), rate, origin)
-    times: Any = rows.texts[layout.time_name]
-    kept = None
+        return _of_frames(layout, np.arange(rows.count), (), rate, origin)
     if layout.time_name == DATE:
         return _of_dates(path, rows)
+    times: Any = rows.texts[layout.time_name]
     if layout.time_name in (FRAME, FRAME_1):
-        frames, remarks = _frames(path, layout, times)
-        numbered = _of_frames(layout, frames, rate, origin)
-        return dataclasses.replace(numbered, remarks=(*remarks, *numbered.remarks))
+        return _of_frames(layout, *_frames(path, layout, times), rate, origin)
+    kept = None
     try:
         sample = times[:200].astype(np.float64)
         if not np.isfinite(sample).all():
@@ -80,7 +84,7 @@ def times_of(
         unit = _unit(layout, values[kept], times)
         stamps = to_stamps(times, values[kept], unit)
     if _counts_frames(layout, stamps, origin):
-        numbered = _of_frames(layout, stamps // NANOSECONDS, rate, origin)
+        numbered = _of_frames(layout, stamps // NANOSECONDS, (), rate, origin)
         return dataclasses.replace(numbered, kept=kept, numbered=True)
     if layout.time_name == UNPADDED:
         stamps = unpadded(times)
@@ -90,21 +94,18 @@ def times_of(
             f"leading zeros (secs.nsecs); use {{option}} '{layout.named(UNPADDED)}', or "
             f"{{option}} '{layout.named()}' if not"
         )
-    word = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds"}.get(unit)
-    is_inferred = UNITS[layout.time_name] is None
-    is_noted = word is not None and (unit == 1 or is_inferred)
+    name, is_inferred = layout.time_name, UNITS[layout.time_name] is None
+    if is_inferred:
+        name = next(name for name in _WORDS if UNITS[name] == unit)
+    is_noted = unit == 1 or (is_inferred and unit != NANOSECONDS)
+    word = next(word for name, word in _WORDS.items() if UNITS[name] == unit)
     remarks = (note("nanoseconds", f"timestamps are in {word}"),) if is_noted else ()
-    units = {10**9: "t_s", 10**6: "t_ms", 10**3: "t_us", 1: "t_ns"}
-    name = units[unit] if is_inferred else layout.time_name
     return Times(stamps, None, True, kept, remarks, name=name)
 
 
 def _of_dates(path: Path, rows: Rows) -> Times:
-    days: Any = rows.texts[DATE]
-    words = [day.decode("latin-1").strip() for day in days.tolist()]
-    if CLOCK in rows.texts:
-        clocks = (clock.decode("latin-1") for clock in rows.texts[CLOCK].tolist())
-        words = [f"{day} {clock}" for day, clock in zip(words, clocks, strict=True)]
+    columns: Any = [rows.texts[name].tolist() for name in (DATE, CLOCK) if name in rows.texts]
+    words = [b" ".join(row).decode("latin-1").strip() for row in zip(*columns, strict=True)]
     kept = np.array([word not in ("", "nan") for word in words])
     try:
         stamps, zone = dates([word for word in words if word not in ("", "nan")])
@@ -141,116 +142,101 @@ def _unit(layout: Layout, values: Floats, times: Any) -> int:
         return named
     is_whole = times.dtype.kind == "S" and b"." not in times[:1].tobytes()
     unit = unit_of(values, is_whole or bool((values == np.round(values)).all()))
-    if unit is None:
-        key = _key(values)
-        unit_name = FRAME if key else "t_us" if np.abs(values).max() > 1e13 else "t_ms"
-        raise InputError(
-            f"its timestamps (up to {np.abs(values).max():.6g}) are neither times since 1970 nor "
-            f"seconds{key}; name the unit: "
-            f"{{option}} '{layout.named(unit_name)}'{'' if key else ' (or t_ms, t_us, t_ns, t_s)'}"
-        )
-    return unit
+    if unit is not None:
+        return unit
+    largest, letters = np.abs(values).max(), _letters(values)
+    key = f", but keys of GTSAM ({letters[0]}0, {letters[0]}1 ...)" if len(letters) == 1 else ""
+    name = FRAME if key else "t_us" if largest > 1e13 else "t_ms"
+    raise InputError(
+        f"its timestamps (up to {largest:.6g}) are neither times since 1970 nor seconds{key}; "
+        f"name the unit: {{option}} '{layout.named(name)}'"
+        + ("" if key else " (or t_ms, t_us, t_ns, t_s)")
+    )
 
 
 def _is_unpadded(stamps: Stamps, times: Any) -> bool:
     """Return whether times go forward only if their decimals are numbers of nanoseconds."""
     if times.dtype.kind != "S" or not (np.diff(stamps) < 0).any():
         return False
-    points = times[:: max(len(times) // 1000, 1)]
-    if (
-        not np.char.isdigit(np.char.replace(points, b".", b"")).all()
-        or (np.char.count(points, b".") != 1).any()
-    ):
+    points = times[:: max(len(times) // 1000, 1)].tolist()
+    if not all(re.fullmatch(rb"\d*\.\d*", word) for word in points):
         return False
     with contextlib.suppress(ValueError):
         return bool((np.diff(unpadded(times)) > 0).all())
     return False
 
 
-def _key(values: Floats) -> str:
-    """Return what keys of GTSAM are, if the values are such keys."""
-    for shift in (56, 48):
-        letter = int(values[0]) >> shift if abs(values[0]) < 2.0**63 else 0
-        if 65 <= letter <= 122 and (values < (letter + 1) * 2.0**shift).all():
-            return f", but keys of GTSAM ({chr(letter)}0, {chr(letter)}1 ...)"
-    return ""
+def _letters(keys: Floats) -> list[str]:
+    """Return the letters that precede the numbers in keys of GTSAM; [] if they are no keys."""
+    shift = 56 if keys.max(initial=0.0) >= 2.0**56 else 48
+    letters = sorted(set(np.floor(keys / 2.0**shift).tolist()))
+    are_letters = letters and letters[0] >= ord("A") and letters[-1] <= ord("z")
+    return [chr(int(letter)) for letter in letters] if are_letters else []
 
 
 def _frames(path: Path, layout: Layout, times: Any) -> tuple[Stamps, tuple[Remark, ...]]:
     """Return frame numbers (N,), which keys of GTSAM have after a letter, and remarks."""
     values = _floats(path, times)
-    wrong = (values != np.round(values)) | (values < 0.0)
-    whole = ~wrong & (values < 2.0**63)
+    whole = (values == np.round(values)) & (values >= 0.0) & (values < 2.0**63)
     frames = np.full(len(values), -1)
-    remarks: tuple[Remark, ...] = ()
     frames[whole] = exact(times[whole], 0) if times.dtype.kind == "S" else values[whole]
-    letters = np.unique(frames >> 56 if frames.max(initial=0) >> 56 else frames >> 48)
-    if len(letters) == 1 and 65 <= letters[0] <= 122:
+    letters = _letters(values)
+    remarks: tuple[Remark, ...] = ()
+    if len(letters) == 1:
         frames = frames & (2**48 - 1)
-        remarks = (
-            note("gtsam_keys", f"frame numbers from keys of GTSAM, {chr(letters[0])}0 ..."),
-        )
-    wrong |= ~((frames >= 0) & (frames < _FRAMES))
-    if wrong.any():
-        several = f" (keys of GTSAM of {len(letters)} robots)" if letters.min() >= 65 else ""
+        keys = f"frame numbers from keys of GTSAM, {letters[0]}0 ..."
+        remarks = (note("gtsam_keys", keys),)
+    right = whole & (frames >= 0) & (frames < _FRAMES)
+    if not right.all():
+        several = f" (keys of GTSAM of {len(letters)} robots)" if letters else ""
         raise InputError(
-            f"{path}: row {int(np.argmax(wrong)) + 1} has no frame number in column "
+            f"{path}: row {int(np.argmin(right)) + 1} has no frame number in column "
             f"{(layout.time or 0) + 1}{several}; correct or remove the row"
         )
     return frames - (layout.time_name == FRAME_1), remarks
 
 
-def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | None) -> Times:
+def _of_frames(
+    layout: Layout,
+    frames: Any,
+    known: tuple[Remark, ...],
+    rate: float | None,
+    origin: Path | None,
+) -> Times:
     """Return the times of frame numbers: of a file next to it, or by a rate."""
-    remarks = []
-    for beside in () if origin is None else files_of_times(origin):
-        if "matrix" not in layout.groups and layout.name not in _NUMBERED:
-            continue
-        times = _read_times(beside)
+    remarks = list(known)
+    has_numbers = layout.time is not None
+    first = frames.min(initial=_FRAMES)
+    if_first = (
+        f"if 1 is the first frame, use {{option}} '{layout.named(FRAME_1)}', or {{option}} "
+        f"'{layout.named(FRAME)}' if 0 is"
+    )
+    can_have_times = "matrix" in layout.groups or layout.name in _NUMBERED
+    for beside in files_of_times(origin) if origin is not None and can_have_times else ():
+        times = times_of(beside, _TIMES, _rows_of_times(beside), None, None).stamps
         numbers = frames
-        if (
-            layout.time is not None
-            and frames.max(initial=0) == len(times)
-            and frames.min(initial=1) >= 1
-        ):
+        if has_numbers and first >= 1 and frames.max(initial=0) == len(times):
             numbers = frames - 1
             remarks.append(note("frames_counted_from_1", "frame numbers start at 1"))
-        elif (
-            layout.name != AS_NAMED
-            and layout.time is not None
-            and len(frames)
-            and frames.min() == 1
-        ):
+        elif has_numbers and first == 1 and layout.name != AS_NAMED:
             raise InputError(
                 f"its frame numbers start at 1, and {beside} has {counted(len(times), 'time')}: "
-                "number 0 or 1 may be the first; name the columns: "
-                f"{{option}} '{layout.named(FRAME)}', or "
-                f"{{option}} '{layout.named(FRAME_1)}' if 1 is"
+                f"{if_first}"
             )
-        counts = layout.time is None and len(times) == len(frames)
-        if counts or (layout.time is not None and numbers.max(initial=0) < len(times)):
+        if numbers.max(initial=0) < len(times) if has_numbers else len(times) == len(frames):
             source = note("times_file", f"timestamps read from {beside}")
             return Times(times[numbers], frames, True, None, (*remarks, source))
-        counts_differ = (
-            f"{beside} ignored: it has {counted(len(times), 'row')} for "
-            f"{counted(len(frames), 'pose')}"
-        )
-        remarks.append(note("times_file_ignored", counts_differ))
-    if layout.time_name == FRAME and layout.name != AS_NAMED and len(frames) and frames.min() == 1:
-        doubt = (
-            f"its frame numbers start at 1: if 1 is the first frame, use {{option}} "
-            f"'{layout.named(FRAME_1)}', or {{option}} '{layout.named(FRAME)}' if 0 is"
-        )
-        remarks.append(warning(FRAMES_FROM_1, doubt))
+        counts = f"{counted(len(times), 'row')} for {counted(len(frames), 'pose')}"
+        remarks.append(note("times_file_ignored", f"{beside} ignored: it has {counts}"))
+    if layout.time_name == FRAME and layout.name != AS_NAMED and first == 1:
+        remarks.append(warning(FRAMES_FROM_1, f"its frame numbers start at 1: {if_first}"))
     if rate is not None:
         stamps = np.round(frames * (NANOSECONDS / rate)).astype(np.int64)
-        rated = note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")
-        return Times(stamps, frames, True, None, (*remarks, rated))
-    unknown = note(
-        "no_timestamps",
-        "no timestamps: frames counted, 1 s apart; set their rate with --frame-rate",
-    )
-    return Times(frames * NANOSECONDS, frames, False, None, (*remarks, unknown))
+        remarks.append(note(ROW_TIMES, f"timestamps counted at {rate:g} Hz"))
+        return Times(stamps, frames, True, None, tuple(remarks))
+    unknown = "no timestamps: frames counted, 1 s apart; set their rate with --frame-rate"
+    remarks.append(note("no_timestamps", unknown))
+    return Times(frames * NANOSECONDS, frames, False, None, tuple(remarks))
 
 
 def _counts_frames(layout: Layout, stamps: Stamps, origin: Path | None) -> bool:
@@ -259,58 +245,45 @@ def _counts_frames(layout: Layout, stamps: Stamps, origin: Path | None) -> bool:
     It does so if a file with the times of the frames is next to the file, as for VGGT-SLAM, which
     repeats frames where its submaps meet.
     """
-    if (
-        layout.time_name != "t"
-        or layout.name not in _NUMBERED
-        or origin is None
-        or len(stamps) < 2
-    ):
+    if layout.time_name != "t" or layout.name not in _NUMBERED or origin is None:
         return False
-    if (stamps % NANOSECONDS).any() or stamps.max() >= _FRAMES * NANOSECONDS:
+    if (stamps % NANOSECONDS).any() or stamps.max(initial=0) >= _FRAMES * NANOSECONDS:
         return False
     steps = np.diff(stamps)
     steps = steps[steps != 0]
-    is_counted = len(steps) > 0 and 0 < steps.min() == steps.max()
-    return bool(is_counted and files_of_times(origin))
+    return bool(len(steps) and 0 < steps.min() == steps.max() and files_of_times(origin))
 
 
-def _read_times(path: Path) -> Stamps:
-    """Return the timestamps (N,) of a file with one time per line, or of an array."""
+def _rows_of_times(path: Path) -> Rows:
+    """Return the rows of a file with one time per line, or of an array."""
     if path.suffix == ".npy":
-        times = load(path)[0].astype(np.float64)
-        return to_stamps(times, times, NANOSECONDS)
+        times = load(path)[0]
+        return Rows(len(times), {"t": times.astype(np.float64)}, {})
     table = sniff(path)
     if table.columns != 1:
         raise InputError(f"{path} has {table.columns} columns, expected one time per line")
-    layout = Layout("times", ("t",))
-    return times_of(path, layout, read_rows(table, layout), None, None).stamps
+    return read_rows(table, _TIMES)
 
 
 def with_times(
     layout: Layout, rows: Rows, path: Path, times: Floats | None
 ) -> tuple[Layout, Rows]:
     """Add the column of times, or of frame numbers, that an array or a file next to it has."""
-    source = "times read from the same file"
-    for beside in files_of_times(path) if times is None else ():
-        times = (
-            load(beside)[0]
-            if beside.suffix == ".npy"
-            else _floats(beside, read_rows(sniff(beside), Layout("times", ("t",))).texts["t"])
-        )
-        source = f"times read from {beside}"
-        break
+    source = "the same file"
     if times is None:
-        return layout, rows
-    times = np.asarray(times, dtype=np.float64)
+        source = next(map(str, files_of_times(path)), "")
+        if not source:
+            return layout, rows
+        times = _floats(Path(source), _rows_of_times(Path(source)).texts["t"])
     if times.shape != (rows.count,):
         raise InputError(
-            f"{source[16:]} has shape {times.shape} for {counted(rows.count, 'pose')}; "
+            f"{source} has shape {times.shape} for {counted(rows.count, 'pose')}; "
             "give one time per pose, or remove it"
         )
-    columns = (FRAME if is_numbered(times) else "t", *layout.columns)
-    layout = dataclasses.replace(
-        layout, columns=columns, note="; ".join(filter(None, (layout.note, source)))
-    )
+    counts_frames = (times == np.round(times)).all() and np.abs(times).max(initial=0.0) < 1e7
+    columns = (FRAME if counts_frames else "t", *layout.columns)
+    text = "; ".join(filter(None, (layout.note, f"times read from {source}")))
+    layout = dataclasses.replace(layout, columns=columns, note=text)
     return layout, dataclasses.replace(rows, texts={**rows.texts, layout.time_name: times})
 
 
@@ -326,7 +299,7 @@ def nanosecond_parts(path: Path, column: Floats) -> Stamps:
     return column.astype(np.int64)
 
 
-def receptions_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes | None:
+def receptions_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes:
     """Return the times in the column `received`, exact to the nanosecond.
 
     `stamps`: (N,), nanoseconds. `column`: (N,), words or float64, in a unit of timestamps: the one

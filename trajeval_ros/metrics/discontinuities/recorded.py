@@ -10,6 +10,7 @@ from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
+from trajeval_ros.metrics.discontinuities.one_stream import OneStream
 
 _BLOCK_S = 20.0  # messages that are taken at a time: more take memory, fewer time
 
@@ -47,6 +48,23 @@ def discontinuities(
             search.add(SIDES[number], stamps[begin:end], poses[begin:end], part)
             rows[number] = end
     return search.finish()
+
+
+def own_discontinuities(trajectory: Trajectory, side: str) -> list[Event]:
+    """Return the events of one recorded trajectory alone, as a live run finds them, by time.
+
+    If it has receive times, its states are taken in that order; else in the given one.
+    """
+    receptions, received = trajectory.reading.receptions, None
+    if receptions is not None:
+        order = np.argsort(receptions.times, kind="stable")
+        trajectory, received = trajectory[order], receptions.times[order]
+    columns = [trajectory.positions]
+    if trajectory.quaternions is not None:
+        columns.append(trajectory.quaternions)
+    stream = OneStream(side, oriented=trajectory.quaternions is not None)
+    stream.add(trajectory.stamps, np.hstack(columns), received)
+    return stream.finish()
 
 
 def _ends_of_blocks(times: Stamps) -> list[int]:

@@ -37,10 +37,8 @@ def kind_of_step(
     `origin`: the estimate's first position (3,). `between`: the pairs before and after the step.
     """
     begin, end = between
-    near_m = motion.scale * min(_distance(end[POSITION], at) for at in (origin, np.zeros(3)))
-    far_m = motion.scale * _distance(begin[POSITION], origin)
-    is_near = near_m < min(max(size.m / 4.0, 0.1), far_m / 3.0)
-    if verdict.side == ESTIMATE and is_near:
+    at_origin = is_at_origin(begin[POSITION], end[POSITION], origin, size.m, motion.scale)
+    if verdict.side == ESTIMATE and at_origin:
         return RESTART
     marks = [mark for mark in history.marks if begin[0] - mark[0] > _LEAST_EARLIER_S]
     marks = marks[: len(marks) // 2]  # a loop closure agrees with the oldest poses
@@ -50,6 +48,15 @@ def kind_of_step(
         if after < _BETTER * before:
             return CORRECTION
     return STEP
+
+
+def is_at_origin(
+    begin: Floats, end: Floats, origin: Floats, size_m: float, scale: float = 1.0
+) -> bool:
+    """Return whether a step between positions (3,) ends at the first one, or at zero."""
+    near_m = scale * min(_distance(end, at) for at in (origin, np.zeros(3)))
+    far_m = scale * _distance(begin, origin)
+    return near_m < min(max(size_m / 4.0, 0.1), far_m / 3.0)
 
 
 def rotates_body(
