@@ -167,10 +167,8 @@ def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size
         for add, (stamps, rows) in zip(adds_of(pairing), sides, strict=True):
             add(trajectory(stamps[begin : begin + size], rows[begin : begin + size]))
         found.append(pairing.made())
-        pairing.settle()
         pairing.forget()
     found.append(pairing.made(at_end=True))
-    pairing.settle()
     store = PairStore()
     for pairs in found:
         if pairs is not None:
@@ -227,7 +225,6 @@ def test_a_repeated_timestamp_is_counted_while_it_is_remembered() -> None:
     pairing.add_groundtruth(sides)
     pairing.add_estimate(sides)
     pairing.made()
-    pairing.settle()
     pairing.forget()
     for stamp, count in ((9, 1), (7, 2), (6, 2)):  # the horizon is at 7 s
         pairing.add_estimate(trajectory(np.array([stamp * SECOND]), states(np.zeros((1, 3)))))

@@ -177,11 +177,9 @@ def test_a_memory_that_is_full_is_told() -> None:
     stamps = np.arange(1000, dtype=np.int64) * SECOND // 10
     buffer.add_groundtruth(Trajectory(stamps, np.zeros((1000, 3))))
     buffer.made()
-    buffer.settle()
     buffer.forget()
     buffer.add_estimate(Trajectory(stamps[:3] + 1, np.zeros((3, 3))))
     buffer.made()
-    buffer.settle()
     buffer.forget()
     assert buffer.why_forgotten == (
         "3 poses dropped: later than the groundtruth buffer of the newest 100 states"

@@ -51,7 +51,6 @@ def test_what_is_forgotten_stays_in_the_sums(seed: int, past_s: float, size: int
         pairing.add_groundtruth(trajectory(stamps[rows], truth[rows]))
         pairing.add_estimate(trajectory(stamps[rows] - 1, truth[rows]))
         pairing.made()
-        pairing.settle()
         pairing.forget()
         end = min(begin + size, 120)
         assert pairing.groundtruth_count == end
@@ -81,7 +80,6 @@ def test_points_have_a_path_and_a_time_of_their_own(seed: int, size: int) -> Non
         pairing.add_groundtruth(trajectory(stamps[rows], points[rows]))
         pairing.add_estimate(trajectory(stamps[rows] + 3, estimate[rows]))
         pairs = pairing.made(at_end=begin + size >= 60)
-        pairing.settle()
         decided = np.concatenate([[], *(part.paired for part in pairing.take_decided())])
         assert np.count_nonzero(decided) == (0 if pairs is None else len(pairs))
         count += np.count_nonzero(decided)

@@ -16,7 +16,6 @@ from trajeval_ros import simulate
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, ActiveAlarms, AlarmLimits
-from trajeval_ros.online.reports import Update
 from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.ros import clock_remarks
 from trajeval_ros.ros.clock_remarks import about_clock_faults
@@ -182,7 +181,7 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
         [estimate], found = live.run.estimates, remarks(live)
     assert tested.call_count == 1
     snapshot = estimate.snapshot()
-    values = Status.of(live.run, estimate, snapshot, Update(), found, {}, 0).values
+    values = Status.of(live.run, estimate, snapshot, found, {}, 0).values
     for name in ("p50", "p95", "max"):
         assert values[f"arrival after stamp, {name} [s]"] == pytest.approx(late_s, abs=1e-6)
     assert values["arrival to publication, p95 [s]"] == pytest.approx(0.1, abs=1e-6)

@@ -304,7 +304,7 @@ def test_a_run_of_hours_ends_before_its_evaluation(
     stamps = 10**18 + np.arange(count) * (NANOSECONDS // 5000)
     poses, truth = many_poses(stamps), many_poses(stamps[::50])
     sides = [
-        peer.node.create_publisher(PoseStamped, topic, together)
+        peer.node.create_publisher(PoseStamped, topic, 3 * together)
         for topic in (GROUNDTRUTH, ODOMETRY)
     ]
 
@@ -330,6 +330,7 @@ def test_a_run_of_hours_ends_before_its_evaluation(
                 sides[1].publish(payload)
             arrays.clear()
             peer.until(lambda: pairs() > begin, "pairs")  # noqa: B023
+        peer.until(lambda: pairs() > count - 100, "all pairs")
         assert live.end() == 0
         assert "continues in another process" in live.said
         until((live.folder / "result.json").exists, "the result")

@@ -52,7 +52,11 @@ def test_a_robot_that_never_moves_is_no_fault_and_has_a_result(
         peer.until((live.folder / "result.json").exists, "results are written during the run")
         assert live.end() == 0
     statuses: list[Any] = [status for array in heard for status in array.status]
-    assert not [status.message for status in statuses if status.level == b"\x02"]
+    errors = [status.message for status in statuses if status.level == b"\x02"]
+    # The topics are silent after the bag, until the results are written.
+    assert [
+        text for text in errors if not text.startswith(("no groundtruth", "no estimate"))
+    ] == []
     assert "no result" not in live.said
     assert "can't be written" not in live.said
     run = live.run_of(ODOMETRY)

@@ -5,7 +5,6 @@ All interpolation of poses in the package, live and recorded, has this arithmeti
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,11 +36,6 @@ class Bracket:
     def is_between(self) -> bool:
         """Whether a usable timestamp is between two states."""
         return bool((self.usable & (self.start != self.end)).any())
-
-    def until(self, count: int) -> Bracket:
-        """Return the bracket of the first `count` timestamps."""
-        columns = (getattr(self, field.name) for field in dataclasses.fields(self))
-        return Bracket(*(column[:count] for column in columns))
 
     @staticmethod
     def reasons(side: str) -> tuple[str, str, str]:

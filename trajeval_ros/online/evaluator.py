@@ -127,9 +127,7 @@ class OnlineEvaluator:
         Args:
             at_end: No more groundtruth will come.
         """
-        pairs = self.made(at_end=at_end)
-        self.buffer.settle()
-        return self.evaluate(pairs, at_end=at_end)
+        return self.evaluate(self.made(at_end=at_end), at_end=at_end)
 
     def made(self, *, at_end: bool = False) -> PairedStates | None:
         """Return the pairs that are possible now, of the same point; None without any."""

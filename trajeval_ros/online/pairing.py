@@ -49,14 +49,6 @@ class PairedStates:
         return PairedStates(*(replace(side, covariances=None) for side in sides))
 
 
-class _Decided(NamedTuple):
-    """States whose association has been decided, in order of time."""
-
-    rows: Indices  # (N,) in the tail of their side
-    states: Trajectory  # (N,)
-    bracket: Bracket  # their position between the states of the interpolated side
-
-
 class DecidedStates(NamedTuple):
     """N groundtruth states in order of time, and which of them are in a pair."""
 
@@ -89,7 +81,6 @@ class Pairing:
         self.groundtruth_counts, self.estimate_counts = StateCounts(), StateCounts()
         # In the same order as offline, whatever occurs first.
         self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
-        self._decided: _Decided | None = None  # by the last `made`, not counted yet
         self._groundtruth_decided: list[DecidedStates] = []
         self._waits_from = NEVER  # no older state waits
         self._forgotten_until = self._paired_until = NEVER
@@ -216,23 +207,24 @@ class Pairing:
         return "; ".join(told)
 
     def made(self, *, at_end: bool = False) -> PairedStates | None:
-        """Return the pairs that are possible now, or None; `settle` takes them as used."""
-        self._decided = None
+        """Return the pairs that are possible now; None without any."""
         side, track = self._waiting_side, self._track
         end = len(side) if at_end else int(side.stamps.searchsorted(track.newest, side="right"))
         rows = self._waiting_rows(end)
         if not len(rows):
             return None
         states = side.trajectory(rows)
+        side.column("waits")[rows] = False
+        self._waits_from = int(states.stamps[-1]) + 1
         if not len(track):
-            self._decided = _Decided(rows, states, _behind_everything(len(rows)))
+            self._count_decided(states, _behind_everything(len(rows)))
             return None
         # The states around the new timestamps.
         begin = max(int(track.stamps.searchsorted(states.stamps[0], side="right")) - 1, 0)
         beyond = int(track.stamps.searchsorted(states.stamps[-1])) + 1
         around = track.trajectory(slice(min(begin, len(track) - 1), beyond))
         between, bracket = around.at(states.stamps, self.max_gap_s)
-        self._decided = _Decided(rows, states, bracket)
+        self._count_decided(states, bracket)
         if len(between) < len(states):
             states = states[bracket.usable]
         if not len(states):
@@ -240,23 +232,9 @@ class Pairing:
         sides = (states, between) if self.at_groundtruth else (between, states)
         return PairedStates(*sides)
 
-    def settle(self, before: int | None = None) -> None:
-        """Take the last pairs of `made` as used.
-
-        With a timestamp `before`, later pairs are not used: their states continue to wait.
-        """
-        decided, self._decided = self._decided, None
-        if decided is None:
-            return
-        stamps, count = decided.states.stamps, len(decided.rows)
-        if before is not None:
-            count = int(stamps.searchsorted(before))
-        if not count:
-            return
-        self._waits_from = int(stamps[count]) if count < len(stamps) else int(stamps[-1]) + 1
-        self._waiting_side.column("waits")[decided.rows[:count]] = False
-        stamps, bracket = stamps[:count], decided.bracket.until(count)
-        usable = bracket.usable
+    def _count_decided(self, states: Trajectory, bracket: Bracket) -> None:
+        """Count states (N,) whose association has been decided, in order of time."""
+        stamps, usable = states.stamps, bracket.usable
         if usable.any():
             self._paired_until = max(self._paired_until, int(stamps[usable][-1]))
         if not usable.all():
@@ -265,8 +243,8 @@ class Pairing:
                 self._drop(reason, number - (too_late if reason.startswith("before_") else 0))
             self._drop("too_late", too_late)
         if self.at_groundtruth:
-            states = StampedPoses.of(decided.states, np.arange(count))
-            self._groundtruth_decided.append(DecidedStates(states, usable))
+            poses = StampedPoses.of(states, np.arange(len(states)))
+            self._groundtruth_decided.append(DecidedStates(poses, usable))
 
     def take_decided(self) -> Sequence[DecidedStates]:
         """Return the groundtruth states that were decided since the last call, for their stamps.

@@ -26,7 +26,7 @@ from trajeval_ros.online.alarms import (
     alarms,
 )
 from trajeval_ros.online.error_topics import status_values, stream_values
-from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.online.reports import Snapshot
 from trajeval_ros.ros.clock_remarks import about_clock_faults, about_clock_offset, sync_risk_m
 from trajeval_ros.ros.event_remarks import SUMMARY, about_frozen, about_steps
 from trajeval_ros.ros.live_estimate import LiveEstimate
@@ -60,14 +60,13 @@ class Status(NamedTuple):
         run: LiveRun,
         estimate: LiveEstimate,
         snapshot: Snapshot,
-        newest: Update,
         remarks: Sequence[Remark],
         peaks: Mapping[str, Peak],
         undrawn: int,
     ) -> Status:
         """Return the present status; numbers in its text change every 10 s at most."""
         told = most_severe_first(estimate.standing.as_told(remarks))
-        values = _values(run, estimate, snapshot, newest)
+        values = _values(run, estimate, snapshot)
         values |= {
             f"{words}, largest since the last status [{unit}]": peaks[name].value
             for name, words, unit in LIMITED_QUANTITIES
@@ -268,14 +267,12 @@ def _about_twins(node: Node) -> list[Remark]:
     return [warning("hint", said, "name")]
 
 
-def _values(
-    run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot, newest: Update
-) -> dict[str, Any]:
+def _values(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> dict[str, Any]:
     return {
         "groundtruth": run.groundtruth.source,
         "estimate": estimate.source.source,
         "warming up": snapshot.warming_up or None,
-        **status_values(snapshot, newest),
+        **status_values(snapshot, estimate.newest),
         "dropped": reasons(add_counts(estimate.status.dropped, snapshot.dropped)) or None,
         "groundtruth dropped": reasons(groundtruth_dropped(run, estimate)) or None,
         f"waiting for {estimate.evaluator.buffer.interpolated}": snapshot.waiting,
@@ -319,10 +316,9 @@ class StatusReports:
         twins, parts, self.newest = _about_twins(self._node), [], {}
         news: dict[tuple[Level, str], list[str]] = {}  # names of estimates by new remark
         for estimate in run.estimates:
-            snapshot = outputs.snapshots.get(estimate.name)
+            snapshot = estimate.newest_snapshot
             if snapshot is None:
                 continue
-            newest = outputs.newest.get(estimate.name, Update())
             peaks = estimate.peaks.take()
             remarks = remarks_about(run, estimate, snapshot, peaks, limits)
             remarks += [*twins, *outputs.remarks(estimate)]
@@ -332,11 +328,11 @@ class StatusReports:
             logged = {trouble.text for trouble in troubles if trouble is not None}
             self._publish_changes(estimate, remarks, news, logged)
             self.newest[estimate.name] = Status.of(
-                run, estimate, snapshot, newest, remarks, peaks, undrawn
+                run, estimate, snapshot, remarks, peaks, undrawn
             )
-            missing, unpaired_s = missing_source(run, estimate), estimate.unpaired_s
-            about = estimate.name, snapshot, window, newest.position_m, missing
-            parts.append(summary(*about, unpaired_s=unpaired_s))
+            missing, newest_m = missing_source(run, estimate), estimate.newest.position_m
+            about = estimate.name, snapshot, window, newest_m, missing
+            parts.append(summary(*about, unpaired_s=estimate.unpaired_s))
         for (level, text), names in news.items():
             # A remark about the groundtruth concerns all estimates.
             self._log(f"{', '.join(names)}: {text}", level)

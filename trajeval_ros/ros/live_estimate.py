@@ -94,7 +94,10 @@ class LiveEstimate:
         self.slow = SlowEvaluation()  # hints, and the errors of the newest path
         self._given_up = None if settings.up is None else settings.up[1]
         self._paired_at = 0.0
+        self._first_pair: int | None = None  # its timestamp
         self._updates: list[Update] = []
+        self.newest = Update()  # the newest one with pairs
+        self.newest_snapshot: Snapshot | None = None
         self._newest: Trajectory | None = None  # the state of the newest message
         self._undigested: list[PairedStates] = []
         self.availability: LiveAvailability | None = None  # as-available, if requested
@@ -106,16 +109,11 @@ class LiveEstimate:
                 settings.limits.past_s,
             )
 
-    def continue_after(self, before: LiveEstimate) -> int:
-        """Continue with the states that the previous run did not use.
-
-        Returns:
-            The timestamp, nanoseconds, from which on pairs belong to this run.
-        """
-        self._begin_ns = before.until_ns = before.evaluator.buffer.unused_from
+    def continue_after(self, before: LiveEstimate, begin_ns: int) -> None:
+        """Continue with the states of the previous run from a timestamp on, nanoseconds."""
+        self._begin_ns = before.until_ns = begin_ns
         self.clock = before.clock
-        self._news = [event for event in before.digest() if event.end_ns <= self._begin_ns]
-        return self._begin_ns
+        self._news = [event for event in before.digest() if event.end_ns <= begin_ns]
 
     @property
     def up(self) -> UpAxis:
@@ -192,21 +190,26 @@ class LiveEstimate:
             self.availability.add_estimate(self._body.estimated(known))
 
     def evaluate(self, *, at_end: bool = False) -> None:
-        """Evaluate the pairs that are possible now, up to a restart that ends the run."""
+        """Evaluate the pairs that are possible now, until a restart is found that ends the run."""
         if self.restarted_at is not None or self.until_ns is not None:
-            return  # what waits belongs to the next run
-        pairs, border = self.evaluator.made(at_end=at_end), None
-        if self.ends_at_restart and not at_end:
-            border = self._border()
-        if pairs is not None and border is not None:
-            pairs = pairs.part(slice(int(pairs.stamps.searchsorted(border))))
-        self.evaluator.buffer.settle(border)
-        if pairs is not None and len(pairs):
+            return  # the next run takes the messages since then
+        pairs = self.evaluator.made(at_end=at_end)
+        if pairs is not None:
             self._paired_at = time.monotonic()
+            if self._first_pair is None:
+                self._first_pair = int(pairs.stamps[0])
             self._undigested.append(pairs.without_covariances())
             if self.on_pairs is not None:
                 self.on_pairs(self, pairs)
         self._updates.append(self.evaluator.evaluate(pairs, at_end=at_end))
+        if self.ends_at_restart and not at_end:
+            self._look_for_restart()
+
+    @property
+    def has_pairs(self) -> bool:
+        """Whether there are pairs of this run."""
+        first, until = self._first_pair, self.until_ns
+        return first is not None and (until is None or first < until)
 
     @property
     def unpaired_s(self) -> float:
@@ -217,7 +220,9 @@ class LiveEstimate:
         """Evaluate the messages that have arrived, and return the new errors."""
         self.evaluate(at_end=at_end)
         updates, self._updates = self._updates, []
-        return united(updates)
+        update = united(updates)
+        self.newest = self.newest if update.stamp is None else update
+        return update
 
     def examine(self, *, at_end: bool = False) -> None:
         """Search the states since the last call for discontinuities.
@@ -264,21 +269,19 @@ class LiveEstimate:
         self._restarts.append(stamp)
         self._news.append(Event(RESTART, ESTIMATE, stamp, stamp, certainty=DECLARED))
 
-    def _border(self) -> int:
-        """Return the timestamp up to which pairs belong to this run; it may end there."""
+    def _look_for_restart(self) -> None:
+        """End the run at the first restart, when no earlier one can be found any more."""
         self.examine()
         newest = self.evaluator.buffer.newest
         settled = self.discontinuities.settled_until(newest) + 1
-        restarts = [stamp for stamp in self._restarts if stamp <= newest]
-        if restarts and min(restarts) <= settled:
-            self.restarted_at = min(restarts)
-        return settled if self.restarted_at is None else self.restarted_at
+        self.restarted_at = min((at for at in self._restarts if at <= settled), default=None)
 
     def snapshot(self) -> Snapshot:
         """Return the state of the evaluation, without what is withheld."""
         if len(self.thinned):
             self.evaluator.up_axis_doubt = up_axis_doubt(self.thinned.pairs().groundtruth)
-        return self.evaluator.snapshot()
+        self.newest_snapshot = self.evaluator.snapshot()
+        return self.newest_snapshot
 
     def digest(self) -> list[Event]:
         """Add the pairs since the last call to thinned and revision; return new events.

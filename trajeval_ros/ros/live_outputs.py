@@ -273,8 +273,6 @@ class LiveOutputs:
         self._outputs = {name: Outputs(node, name, judges=judges) for name in names}
         self._revised: dict[str, RevisedOutputs] = {}
         self._streams: dict[str, StreamOutputs] = {}  # by name of the source
-        self.newest: dict[str, Update] = {}  # the newest published errors by estimate
-        self.snapshots: dict[str, Snapshot] = {}  # the newest published state by estimate
 
     def advertise_lengths(self, lengths: Sequence[str]) -> None:
         """Create the publishers of relative errors for lengths of sub-trajectories."""
@@ -282,14 +280,9 @@ class LiveOutputs:
             for length in lengths:
                 output.advertise_parts(topics.relative_error_topic(length))
 
-    def begin_run(self) -> None:
-        """Forget the errors of the previous run."""
-        self.newest, self.snapshots = {}, {}
-
     def publish_update(self, run: LiveRun, estimate: LiveEstimate, update: Update) -> None:
         """Publish the errors of new pairs, and the alignment; needs a pair."""
         assert update.stamp is not None
-        self.newest[estimate.name] = update
         frame = run.groundtruth_status.frame
         self._outputs[estimate.name].publish_update(update, frame, estimate.offset_ns)
         if self._broadcaster is not None and estimate.evaluator.alignment is not None:
@@ -303,18 +296,14 @@ class LiveOutputs:
 
     def publish_streams(self, run: LiveRun) -> None:
         """Publish the health of the messages of all sources."""
-        sides = [(run.groundtruth, run.groundtruth_status)]
-        for source, status in sides + [
-            (estimate.source, estimate.status) for estimate in run.estimates
-        ]:
+        for place, source in enumerate(run.plan.sources):
             if source.name not in self._streams:
                 self._streams[source.name] = StreamOutputs(self._node, source.name)
-            self._streams[source.name].publish(status.stream.recent())
+            self._streams[source.name].publish(run.status_of(place).stream.recent())
 
     def publish_snapshot(self, estimate: LiveEstimate) -> Snapshot:
         """Publish the errors of the window, and return them."""
         snapshot = estimate.snapshot()
-        self.snapshots[estimate.name] = snapshot
         estimate.peaks.see_snapshot(snapshot)
         self._outputs[estimate.name].publish_snapshot(snapshot, estimate.offset_ns)
         return snapshot

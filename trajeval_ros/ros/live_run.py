@@ -133,7 +133,7 @@ class LiveRun:
     @property
     def has_pairs(self) -> bool:
         """Whether there are pairs."""
-        return self.pair_count > 0
+        return any(estimate.has_pairs for estimate in self.estimates)
 
     @property
     def pair_count(self) -> int:
@@ -151,11 +151,6 @@ class LiveRun:
         """Set whether the run ends at the first restart of an estimate."""
         for estimate in self.estimates:
             estimate.ends_at_restart = ends
-
-    def examine(self, *, at_end: bool) -> None:
-        """Search the messages that were taken for discontinuities."""
-        for estimate in self.estimates:
-            estimate.examine(at_end=at_end)
 
     def take(self, source: int, messages: DecodedMessages) -> None:
         """Store and take messages of a source."""
@@ -198,10 +193,14 @@ class LiveRun:
         The time of some estimates may have stepped back. They began this run, and need the
         groundtruth since their first message.
         """
+        restarts = [
+            item.restarted_at for item in before.estimates if item.restarted_at is not None
+        ]
         begins = {}
         for place, (new, old) in enumerate(zip(self.estimates, before.estimates, strict=True), 1):
             if place not in stepped_back:
-                begins[place] = new.continue_after(old)
+                begins[place] = min(restarts, default=old.evaluator.buffer.unused_from)
+                new.continue_after(old, begins[place])
             elif (first := self._tail.first(place)) is not None:
                 begins[place] = first + self._settings.offset_ns
         offset_ns = self._settings.offset_ns
@@ -243,10 +242,6 @@ class LiveRun:
             return math.inf
         since_ns = 0 if first == NEVER or groundtruth.last is None else groundtruth.last - first
         return max([since_ns / NANOSECONDS, *(status.duration_s for status in statuses)])
-
-    def resume(self) -> None:
-        """Evaluate messages again after a pause, in which the robot may have moved."""
-        self.idle = ""
 
     def conclude(self) -> None:
         """Evaluate the poses that wait for groundtruth, because no further messages follow."""

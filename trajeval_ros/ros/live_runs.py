@@ -128,7 +128,8 @@ class LiveRuns:
             run.decide(at_end=True)
         for _ in self.update():
             pass
-        self.current.examine(at_end=True)
+        for estimate in self.current.estimates:
+            estimate.examine(at_end=True)
         for _ in self.update():
             pass
         while self._ending:

@@ -32,8 +32,11 @@ class DecodedMessages(NamedTuple):
 
     def part(self, rows: slice | Booleans) -> DecodedMessages:
         """Return some of the messages, or a path with some of its poses."""
+        count = len(self.states)
+        if isinstance(rows, slice) and rows.indices(count) == (0, count, 1):
+            return self  # a copy costs as much as the evaluation of a few messages
         states = self.states[rows]
-        if len(states) in (0, len(self.states)):
+        if len(states) in (0, count):
             return self._replace(states=states, times=self.times[: len(states)])
         first, last = states.stamps.min(), states.stamps.max()
         resets = tuple(stamp for stamp in self.resets if first <= stamp <= last)

@@ -147,7 +147,6 @@ class EvaluatorNode:
 
     def _begin_run(self, ended: LiveRun, begun: LiveRun) -> None:
         self._pictures[begun] = self._new_picture(begun, self._pictures[ended])
-        self._outputs.begin_run()
         why = f"{begun.began_by}; " if begun.began_by else ""
         said = f"{why}previous results are in {ended.folder}, new results in {begun.folder}"
         self._log(said)
@@ -253,7 +252,7 @@ class EvaluatorNode:
         if self._time_at is not None:
             self._simulated_time.match()
         run = self._runs.current
-        for source in (run.groundtruth, *(estimate.source for estimate in run.estimates)):
+        for source in run.plan.sources:
             for item in source.match():
                 if self._events.publish(source.name, item):
                     self._log(item.text, item.level)
@@ -322,7 +321,7 @@ class EvaluatorNode:
         self._runs.discard()
         if run.idle == _STOPPED:
             return self._reset(request, response)
-        run.resume()
+        run.idle = ""
         return self._tell_run(response, f"the run in {run.folder} continues")
 
     def _pause(self, request: Any, response: Any) -> Any:
