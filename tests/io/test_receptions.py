@@ -182,6 +182,13 @@ def test_header_names_the_column_received(tmp_path: Path) -> None:
     file.write_text("t,x,y,z,received\n1.0,0,0,0,nan\n2.0,1,0,0,2.5\n")
     with pytest.raises(InputError, match="row 1 has no number in column received"):
         read_trajectory(file)
+    rows = [f"{row}000000000,{row},0,0,{row}000000001\n" for row in range(6, 18)]
+    rows[2] = "8000000000,8,0,0,9300000000000000000\n"
+    file.write_text("t_ns,x,y,z,received\n" + "".join(rows))
+    with pytest.raises(
+        InputError, match="row 3 has a time after the year 2262 in column received"
+    ):
+        read_trajectory(file)
 
 
 def test_written_receptions_are_read_back(tmp_path: Path) -> None:

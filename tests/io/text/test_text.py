@@ -147,7 +147,7 @@ def test_unit_of_time_decides_the_order_of_eight_columns_with_commas(
     assert read.quaternions is not None
     expected = [0.0, 0.0, 0.6, 0.8] if order.startswith("qw") else [0.8, 0.0, 0.0, 0.6]
     np.testing.assert_allclose(read.quaternions[0], expected)
-    assert f"assumed {order}" in " ".join(read.reading.said(Level.WARNING))
+    assert f"assumed {order}" in " ".join(read.reading.messages(Level.WARNING))
 
 
 def test_openvins_covariance_is_turned_into_the_world(tmp_path: Path) -> None:

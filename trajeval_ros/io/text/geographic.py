@@ -18,7 +18,7 @@ from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 ANY_GGA = rb"(?m)^\$..GGA,"  # start of a line with a fix
-_KNOWN, _UNKNOWN = 2.0, 0.0  # types of covariance in sensor_msgs/NavSatFix
+_KNOWN = 2.0  # type of a diagonal covariance in sensor_msgs/NavSatFix; 0 is unknown
 
 # Patterns are compiled on use, since few files are NMEA.
 _GGA = (
@@ -49,12 +49,10 @@ def fixes_of(
             f"{path} has latitude and longitude, but no time; add a column named time, or name "
             "the columns with --columns 't latitude longitude height'"
         )
-    count = len(stamps)
-    if "place" in groups:
-        places = groups["place"]
-    else:
-        places = np.column_stack([groups["level_place"], np.full(count, np.nan)])
-    quality = np.zeros((count, 11))
+    places = groups.get("place")
+    if places is None:
+        places = np.column_stack([groups["level_place"], np.full(len(stamps), np.nan)])
+    quality = np.zeros((len(stamps), 11))
     if "fix_status" in groups:
         quality[:, 0] = np.nan_to_num(groups["fix_status"][:, 0], nan=-1.0)
     if "place_sigma" in groups:
@@ -92,7 +90,6 @@ def read_nmea(path: Path) -> Trajectory:
     heights = np.array([(field[10], field[11] or b"0") for field in fields]).astype(np.float64)
     quality = np.zeros((len(lines), 11))
     quality[:, 0] = _QUALITIES[np.array([field[9] for field in fields]).astype(np.int64)]
-    quality[:, 1] = _UNKNOWN
     return trajectory_of_rows(
         str(path),
         stamps,

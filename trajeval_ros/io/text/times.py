@@ -306,14 +306,16 @@ def receptions_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes:
     in which they are nearest to `stamps`.
     """
     values = _floats(path, column)
-    known = np.isfinite(values)
-    if not known.all():
+    usable = np.isfinite(values)
+    reason = "no number"
+    if usable.all():
+        units = [unit for unit in UNITS.values() if unit is not None]
+        unit = min(units, key=lambda unit: abs(median(values * unit - stamps)))
+        usable = np.abs(values) * unit < 2.0**63
+        reason = "a time after the year 2262"
+    if not usable.all():
         raise InputError(
-            f"row {int(np.argmin(known)) + 1} has no number in column {RECEIVED}; correct or "
+            f"row {int(np.argmin(usable)) + 1} has {reason} in column {RECEIVED}; correct or "
             "remove the row"
         )
-    units = [unit for unit in UNITS.values() if unit is not None]
-    unit = min(units, key=lambda unit: abs(median(values * unit - stamps)))
-    if (np.abs(values) * unit >= 2.0**63).any():
-        raise InputError(f"column {RECEIVED} has times after the year 2262; correct it")
     return ReceiveTimes(to_stamps(column, values, unit))
