@@ -74,10 +74,7 @@ def _row(setting: Setting) -> str:
 
 def layouts_table() -> str:
     """Return the table of all layouts of text files without a header in Markdown."""
-    rows = [
-        f"| {layout.name} | {_columns(layout)} | {_written_by(layout)} |"
-        for layout in KNOWN
-    ]
+    rows = [f"| {layout.name} | {_columns(layout)} | {_written_by(layout)} |" for layout in KNOWN]
     return "\n".join(["| layout | columns | written by |", "|---|---|---|", *rows])
 
 

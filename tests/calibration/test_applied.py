@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trajeval_ros.calibration.apply import Ate, Calibrated, _Found, _remarks, _require_body_known
+from trajeval_ros.calibration.apply import (
+    Ate,
+    Calibrated,
+    _remarks,
+    _require_body_known,
+    _Significant,
+)
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.calibration.significance import Parameter, unobservable
 from trajeval_ros.exceptions import InputError, SettingsError
@@ -40,7 +46,7 @@ def calibrated(**changed: Any) -> Calibrated:
     rule = SimpleNamespace(time_offset_s=0.0)
     evaluation: Any = SimpleNamespace(protocol=SimpleNamespace(association=rule))
     given: dict[str, Any] = {
-        "evaluation": evaluation, "wanted": CalibrationRequest(offset=True, hand_eye=True),
+        "evaluation": evaluation, "request": CalibrationRequest(offset=True, hand_eye=True),
         "calibration": calibration(), "estimated_from": "", "offset_applied": True,
         "rotation_applied": True, "lever_applied": True, "hand_eye": KNOWN, "of_marker": False,
         "before": Ate(1.0, None), "after": Ate(1.0, None), "if_applied": None,
@@ -55,7 +61,7 @@ def calibrated(**changed: Any) -> Calibrated:
         ({"offset_applied": False}, 5),
         ({"rotation_applied": False}, 3),
         ({"lever_applied": False}, 4),
-        ({"wanted": CalibrationRequest(offset=True, known=KNOWN)}, 1),
+        ({"request": CalibrationRequest(offset=True, known=KNOWN)}, 1),
         ({"calibration": None}, 0),
     ],
 )
@@ -80,21 +86,24 @@ def test_a_known_transform_is_not_estimated() -> None:
         ({"after": Ate(1.051, None), "offset_applied": False, "hand_eye": None}, []),
         ({"after": Ate(1.051, None), "hand_eye": None}, ["calibration_worsens"]),
         # Clocks that differ by more than two half widths of 2 ms.
-        ({"wanted": CalibrationRequest(hand_eye=True)}, ["clock_offset_not_corrected"]),
+        ({"request": CalibrationRequest(hand_eye=True)}, ["clock_offset_not_corrected"]),
         (
             {
-                "wanted": CalibrationRequest(),
+                "request": CalibrationRequest(),
                 "calibration": calibration(offset=parameter(-0.0041)),
             },
             ["clock_offset_not_corrected"],
         ),
         (
-            {"wanted": CalibrationRequest(), "calibration": calibration(offset=parameter(0.0039))},
+            {
+                "request": CalibrationRequest(),
+                "calibration": calibration(offset=parameter(0.0039)),
+            },
             [],
         ),
         (
             {
-                "wanted": CalibrationRequest(),
+                "request": CalibrationRequest(),
                 "calibration": calibration(offset=parameter(0.02, status="insignificant")),
             },
             [],
@@ -108,7 +117,7 @@ def test_warnings_of_a_calibration(changed: dict[str, Any], codes: list[str]) ->
 
 
 def test_clocks_are_compared_with_the_assumed_offset() -> None:
-    some = calibrated(wanted=CalibrationRequest())
+    some = calibrated(request=CalibrationRequest())
     some.evaluation.protocol.association.time_offset_s = 0.0165  # type: ignore[misc]
     assert _remarks(some) == []
     some.evaluation.protocol.association.time_offset_s = 0.0155  # type: ignore[misc]
@@ -117,7 +126,7 @@ def test_clocks_are_compared_with_the_assumed_offset() -> None:
 
 def test_what_is_found_is_what_was_asked_for() -> None:
     everything = calibration(lever=parameter(1.0, 2.0, 3.0, status="insignificant"))
-    found = _Found.in_calibration(everything, CalibrationRequest(offset=True, hand_eye=True))
+    found = _Significant.in_calibration(everything, CalibrationRequest(offset=True, hand_eye=True))
     assert (found.offset, found.turn, found.lever) == (
         everything.offset, everything.turn, everything.lever
     )  # fmt: skip
@@ -128,13 +137,13 @@ def test_what_is_found_is_what_was_asked_for() -> None:
     assert not used.hand_eye.lever_m.any()
     assert found.hand_eye is not None
     np.testing.assert_array_equal(found.hand_eye.lever_m, [1.0, 2.0, 3.0])
-    clock = _Found.in_calibration(everything, CalibrationRequest(offset=True))
+    clock = _Significant.in_calibration(everything, CalibrationRequest(offset=True))
     assert (clock.turn, clock.lever, clock.hand_eye) == (None, None, None)
-    nothing = _Found.in_calibration(
+    nothing = _Significant.in_calibration(
         calibration(turn=unobservable("")), CalibrationRequest(hand_eye=True)
     )
     assert (nothing.offset, nothing.turn) == (None, None)
-    assert _Found.in_calibration(None, CalibrationRequest(known=KNOWN)).hand_eye is KNOWN
+    assert _Significant.in_calibration(None, CalibrationRequest(known=KNOWN)).hand_eye is KNOWN
     only = dataclasses.replace(found, turn=None)
     assert only.hand_eye is not None
     np.testing.assert_array_equal(only.hand_eye.rotation_xyzw, [0.0, 0.0, 0.0, 1.0])

@@ -334,8 +334,8 @@ def test_verdicts_of_a_parameter_by_hand() -> None:
     value = np.array([1.0, -0.5, 0.2])
 
     def verdict(size: float = 1.0, *, systematic: float = 0.0, widest: float = 10.0,
-                found: Directions = seen, whole: bool = False):  # fmt: skip
-        return judge(size * value, covariance, systematic, found, 12, widest=widest, unit="m",
+                directions: Directions = seen, whole: bool = False):  # fmt: skip
+        return judge(size * value, covariance, systematic, directions, 12, widest=widest, unit="m",
                      whole=whole)  # fmt: skip
 
     quantile = float(student.ppf(0.975, 11))
@@ -357,13 +357,13 @@ def test_verdicts_of_a_parameter_by_hand() -> None:
     assert weak.status == "weak"
     assert weak.reason.startswith("95 % half width 0.66 m, limit")
     part = Directions(np.eye(3), np.array([1.0, 1.0, 0.2]))
-    hidden = verdict(found=part)
+    hidden = verdict(directions=part)
     assert hidden.seen == 2
     assert hidden.sigma is not None
     np.testing.assert_allclose(hidden.sigma, [0.1, 0.2, np.nan])
     assert "not observable along z, assumed 0 there" in hidden.reason
-    assert verdict(found=part, whole=True).status == "unobservable"
-    none = verdict(found=Directions(np.eye(3), np.array([0.1, 0.3, 0.2])))
+    assert verdict(directions=part, whole=True).status == "unobservable"
+    none = verdict(directions=Directions(np.eye(3), np.array([0.1, 0.3, 0.2])))
     assert "reliability 0.30, required 0.5" in none.reason
     assert unobservable("why").reliability.size == 0
     assert unobservable("why").chance is None

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from trajeval_ros import AssociationRule, Protocol, Trajectory
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
-from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, FROZEN, Loss
 
 SECOND = 1_000_000_000
 
@@ -105,7 +105,7 @@ def test_frozen_poses_and_what_follows_a_divergence_are_left_out(
 ) -> None:
     """A loss from the last good pair at 5 s to its last pair at 9 s."""
     begin, end = (int(item * SECOND) for item in (105, 109))
-    loss = Loss(cause, begin, end, 4.0, 0.0, 9.0, is_error=True, is_over=is_over)
+    loss = Loss(cause, ESTIMATE, begin, end, m=4.0, moved_m=9.0, is_over=is_over)
     pair = pair_of()
     found = pair.tracked([loss])
     assert found.poses["estimate"].seconds.tolist() == kept

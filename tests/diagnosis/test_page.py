@@ -96,18 +96,23 @@ def without_numbers(text: str) -> str:
 
 
 def table() -> str:
-    """Return the rows of the page's table: names, messages without numbers, and options."""
-    rows = []
+    """Return the rows of the page's table: names, messages without evidence, and options."""
+    rows: dict[tuple[str, str], list[str]] = {}
     for cause in CAUSES.values():
-        message = cause.sentence.partition(": corrected, short motions")[0]  # without its evidence
+        # A colon outside of parentheses begins the evidence, if numbers follow.
+        evident = re.fullmatch(r"((?:\([^)]*\)|(?!: )[^(])*): .*\{.*", cause.sentence)
+        message = evident[1] if evident else cause.sentence
         message = re.sub(r"(?<=\w)(\{[^}]*\})+", "", message)  # additions to a word
         message = re.sub(r"\{[^}]*\}", "...", message)
         if message == "...":  # several sentences
             message = cause.name.replace("_", " ")
         options = dict.fromkeys(name.partition(".")[2] or name for name in cause.correction)
         named = ", ".join(f"`--{name.replace('_', '-')}`" for name in options)
-        rows.append(f"| `{cause.name}` | {message} | {named} |\n")
-    return "".join(rows)
+        rows.setdefault((message, named), []).append(f"`{cause.name}`")
+    return "".join(
+        f"| {', '.join(names)} | {message} | {named} |\n"
+        for (message, named), names in rows.items()
+    )
 
 
 def test_the_table_of_causes_is_generated() -> None:

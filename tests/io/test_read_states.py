@@ -177,7 +177,7 @@ def test_what_was_dropped_is_in_the_summary() -> None:
     dropped = {"not_finite": 2, "duplicate_stamp": 1}
     found = summarize("x", line([1.0, 2.0], [0.0, 1.0], remarks=remarks, dropped=dropped))
     said = ("no header", "2 dropped: not finite", "1 dropped: duplicate stamp")
-    assert found.said == said
+    assert found.messages == said
     assert found.kind == "TUM"
 
 

@@ -97,14 +97,14 @@ def test_interpolation_on_a_circle_is_off_by_its_sagitta(batch: int) -> None:
     meter = InterpolationMeter()
     for begin in range(0, count, batch):
         if begin < 3:
-            assert meter.found is None
+            assert meter.interpolation is None
         meter.add(stamps[begin : begin + batch], circle[begin : begin + batch])
         meter.add(stamps[:0], circle[:0])
-    assert meter.found is not None
-    assert meter.found.step_s == pytest.approx(step_s)
+    assert meter.interpolation is not None
+    assert meter.interpolation.step_s == pytest.approx(step_s)
     sagitta_m = radius_m * (1.0 - np.cos(rate * step_s / 2.0))
     # An eighth of second differences is (r / 4) (1 - cos w h), the sagitta to 0.1 %.
-    assert sagitta_m * 0.999 <= meter.found.off_m <= sagitta_m * 1.023
+    assert sagitta_m * 0.999 <= meter.interpolation.off_m <= sagitta_m * 1.023
 
 
 def test_one_jump_in_two_hundred_states_is_no_curve() -> None:
@@ -112,11 +112,11 @@ def test_one_jump_in_two_hundred_states_is_no_curve() -> None:
     line[200:] += 50.0
     meter = InterpolationMeter()
     meter.add(np.arange(400) * SECOND, line)
-    assert meter.found is not None
-    assert meter.found.off_m < 1e-6
+    assert meter.interpolation is not None
+    assert meter.interpolation.off_m < 1e-6
     many = line.copy()
     many[::40] += 1.0  # a thirteenth of the second differences
     meter = InterpolationMeter()
     meter.add(np.arange(400) * SECOND, many)
-    assert meter.found is not None
-    assert meter.found.off_m > 0.1
+    assert meter.interpolation is not None
+    assert meter.interpolation.off_m > 0.1

@@ -31,21 +31,21 @@ from trajeval_ros.diagnosis.input_pair import FEWEST, InputPair
 from trajeval_ros.diagnosis.lost_tracking_tests import (
     begins_at_start,
     is_certain,
-    is_large,
+    is_long,
     losses_in,
     lost_tracking,
 )
 from trajeval_ros.diagnosis.motion_tests import tests_of_motion
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
-from trajeval_ros.metrics.tracking_loss import FROZEN
+from trajeval_ros.metrics.discontinuities.events import FROZEN
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.metrics.discontinuities.events import Loss
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.input_summary import InputSummary
     from trajeval_ros.metrics.protocol import Protocol
-    from trajeval_ros.metrics.tracking_loss import Loss
 
 # These findings invalidate all other tests.
 _FINAL = {
@@ -154,15 +154,15 @@ def _tested_where_tracked(
     certain = [loss for loss in losses if is_certain(loss, pairs)]
     diagnosis = _tested(inputs, certain)
     # What follows from wrong pairs is no divergence.
-    frozen = [loss for loss in certain if loss.cause == FROZEN]
+    frozen = [loss for loss in certain if loss.kind == FROZEN]
     if len(frozen) < len(certain) and diagnosis.names_any(_OTHER_PAIRS):
         whole = _tested(inputs, frozen)
         if whole.names_any(_OTHER_PAIRS):
             certain, diagnosis = frozen, whole
-    uncertain = [loss for loss in losses if loss not in certain and is_large(loss, pairs)]
+    uncertain = [loss for loss in losses if loss not in certain and is_long(loss, pairs)]
     from_start = any(begins_at_start(loss, pairs) for loss in uncertain)
     if uncertain and not any(_explains_loss(one, from_start) for one in diagnosis.findings):
-        certain = sorted((*certain, *uncertain), key=lambda loss: loss.begin_ns)
+        certain = sorted((*certain, *uncertain), key=lambda loss: loss.t_ns)
         diagnosis = _tested(inputs, certain)
     if not certain:
         return diagnosis, False

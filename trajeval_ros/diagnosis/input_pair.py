@@ -16,12 +16,12 @@ from trajeval_ros.geometry.interpolation import mix, slerp, steps_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import every_nth
 from trajeval_ros.metrics.association import INTERPOLATING
+from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.metrics.statistics import median
-from trajeval_ros.metrics.tracking_loss import FROZEN
 
 if TYPE_CHECKING:
+    from trajeval_ros.metrics.discontinuities.events import Loss
     from trajeval_ros.metrics.protocol import Protocol
-    from trajeval_ros.metrics.tracking_loss import Loss
 
 FEWEST = 12  # poses, motions or repetitions: fewer are no evidence
 SHORTEST_S = 8.0  # of a side and in common: less motion has no evidence
@@ -171,8 +171,8 @@ class InputPair:
         true_stamps = self.groundtruth.stamps
         kept, true_kept = np.ones(len(stamps), dtype=bool), np.ones(len(true_stamps), dtype=bool)
         for loss in losses:
-            goes_on = loss.is_over and loss.cause == FROZEN
-            kept &= (stamps <= loss.begin_ns) | (goes_on & (stamps > loss.end_ns))
-            true_kept &= (true_stamps <= loss.begin_ns) | goes_on
+            goes_on = loss.is_over and loss.kind == FROZEN
+            kept &= (stamps <= loss.t_ns) | (goes_on & (stamps > loss.end_ns))
+            true_kept &= (true_stamps <= loss.t_ns) | goes_on
         sides = self.groundtruth[true_kept], self.estimate[kept]
         return InputPair(*sides, self.protocol, self.offset_s)

@@ -117,8 +117,8 @@ class Availability:
     @property
     def remarks(self) -> list[Remark]:
         """The warning about the clocks, or about withheld numbers."""
-        said = self.why_withheld or (self.clock.sentence if self.clock is not None else "")
-        return [warning("reception_clock", f"as available: {said}")] if said else []
+        sentence = self.why_withheld or (self.clock.sentence if self.clock is not None else "")
+        return [warning("reception_clock", f"as available: {sentence}")] if sentence else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,8 +154,8 @@ def as_available(
     have = in_use(messages, stamps) >= 0
     samples, before = sampled(groundtruth, messages, stamps[have], max_gap_s), int((~have).sum())
     if not len(samples.stamps):
-        said = "no instant has both a received pose and groundtruth; check the clocks"
-        return AsAvailable(replace(known, why_withheld=said))
+        reason = "no instant has both a received pose and groundtruth; check the clocks"
+        return AsAvailable(replace(known, why_withheld=reason))
     lacking = len(stamps) - before - len(samples.stamps)
     known = replace(known, without_groundtruth=lacking, time_to_first_pose_s=before / RATE_HZ)
     return AsAvailable(_with_numbers(known, samples), samples)
@@ -175,8 +175,8 @@ def usable_messages(
     """
     known, receptions = Availability(rule.motion, rule.deadline_s), estimate.reading.receptions
     if receptions is None or not len(receptions):
-        said = "no times of reception; evaluate a bag, or name a column received"
-        return replace(known, why_withheld=said), None
+        reason = "no times of reception; evaluate a bag, or name a column received"
+        return replace(known, why_withheld=reason), None
     stamps, velocities, rates = estimate.stamps, estimate.velocities, receptions.body_rates
     times, clock = judged_receptions(stamps + offset_ns, receptions.times, rule.receive_clock)
     known = replace(known, received=receptions.by, clock=clock, recording_s=receptions.recording_s)
@@ -184,8 +184,8 @@ def usable_messages(
     if not clock.is_usable:
         return replace(known, why_withheld=clock.sentence), None
     if rule.motion == TWIST and not (has_twist and (has_moved or np.any(velocities))):
-        said = "the messages have no twist; use --as-available constant"
-        return replace(known, why_withheld=said), None
+        reason = "the messages have no twist; use --as-available constant"
+        return replace(known, why_withheld=reason), None
     return known, Messages.of(similarity.trajectory(estimate), times, rule.motion, offset_ns)
 
 

@@ -39,16 +39,16 @@ def component_columns(columns: Columns) -> ArrayColumns:
     `aligned_positions` (N, 3) becomes `aligned_positions_x`, `_y` and `_z`. Components of
     rotations are `_roll`, `_pitch` and `_yaw`. Points in names become underscores.
     """
-    found = {}
+    components = {}
     for name, column in columns.items():
         plain = name.replace(".", "_")
         if column.ndim == 1:
-            found[plain] = column
+            components[plain] = column
             continue
         width = column.shape[1]
         names = _TURNS if width == 3 and name.startswith("rotation") else _COMPONENTS[width]
-        found |= {f"{plain}_{item}": column[:, at] for at, item in enumerate(names)}
-    return found
+        components |= {f"{plain}_{item}": column[:, at] for at, item in enumerate(names)}
+    return components
 
 
 def arrow_table(columns: Columns) -> pyarrow.Table:

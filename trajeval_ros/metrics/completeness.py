@@ -24,7 +24,7 @@ class CompletenessSums:
     """
 
     def __init__(self) -> None:
-        self._states = self._found = 0
+        self._states = self._matched = 0
         self._first_ns = self._newest_ns = 0
         self._found_ns: tuple[int, int] | None = None  # first and last stamp with an estimate
         # The open gap: its start, the farthest distance from there, whether a state is missing.
@@ -32,30 +32,30 @@ class CompletenessSums:
         self._reach_m, self._is_missing = 0.0, False
         self._longest: Gap | None = None
 
-    def add(self, stamps: Stamps, positions: Floats, found: Booleans) -> None:
-        """Add N states in order of their timestamps (ns); `found` marks those with an estimate.
+    def add(self, stamps: Stamps, positions: Floats, matched: Booleans) -> None:
+        """Add N states in order of their timestamps (ns); `matched` marks those with an estimate.
 
         States older than those of earlier calls are only counted.
         """
         self._states += len(stamps)
-        self._found += int(np.count_nonzero(found))
+        self._matched += int(np.count_nonzero(matched))
         if len(self._begin):
             new = stamps > self._newest_ns
-            stamps, positions, found = stamps[new], positions[new], found[new]
+            stamps, positions, matched = stamps[new], positions[new], matched[new]
         if not len(stamps):
             return
         if not len(self._begin):
             self._begin, self._first_ns = positions[:1], int(stamps[0])
             self._begin_ns = self._first_ns
         self._newest_ns = int(stamps[-1])
-        ends = np.flatnonzero(found)
+        ends = np.flatnonzero(matched)
         begins = np.concatenate([self._begin, positions[ends]])
         begins_ns = np.append(self._begin_ns, stamps[ends])
-        stretch: Indices = np.cumsum(found) - found
+        stretch: Indices = np.cumsum(matched) - matched
         reach_m = np.zeros(len(begins))
         reach_m[0] = self._reach_m
         np.maximum.at(reach_m, stretch, np.linalg.norm(positions - begins[stretch], axis=1))
-        is_missing = np.bincount(stretch[~found], minlength=len(begins)) > 0
+        is_missing = np.bincount(stretch[~matched], minlength=len(begins)) > 0
         is_missing[0] |= self._is_missing
         lasted_ns = np.where(is_missing[:-1], np.diff(begins_ns), 0)
         if lasted_ns.any():
@@ -76,7 +76,7 @@ class CompletenessSums:
             gap = self._longer(self._newest_ns - self._begin_ns, self._reach_m)
         whole_ns = self._newest_ns - self._first_ns
         span = (self._found_ns[1] - self._found_ns[0]) / whole_ns if whole_ns else 1.0
-        return Coverage(self._found / self._states, span, longest_gap=gap)
+        return Coverage(self._matched / self._states, span, longest_gap=gap)
 
     def _longer(self, lasted_ns: int, reach_m: float) -> Gap:
         """Return the longest gap so far, or a longer one."""
@@ -91,10 +91,10 @@ def completeness(groundtruth: Trajectory, rows: Indices) -> Coverage:
 
     The groundtruth is in order; `rows` (N,) are the states that are in a pair, N > 0.
     """
-    found = np.zeros(len(groundtruth), dtype=bool)
-    found[rows] = True
+    matched = np.zeros(len(groundtruth), dtype=bool)
+    matched[rows] = True
     sums = CompletenessSums()
-    sums.add(groundtruth.stamps, groundtruth.positions, found)
+    sums.add(groundtruth.stamps, groundtruth.positions, matched)
     coverage = sums.coverage()
     assert coverage is not None
     return coverage
@@ -134,8 +134,8 @@ class InterpolationMeter:
         self._newest = path[-2:].copy()
 
     @property
-    def found(self) -> Interpolation | None:
-        """What the states tell so far; None of fewer than three."""
+    def interpolation(self) -> Interpolation | None:
+        """The interpolation between the states so far; None for fewer than three."""
         if self._count < 3:
             return None
         step_s = (self._last_ns - self._first_ns) / NANOSECONDS / (self._count - 1)

@@ -185,12 +185,12 @@ class Evaluation:
         """
         if length is None:
             return self._pair_columns()
-        wanted = Length.of(length)
+        requested = Length.of(length)
         for part in self.relative or ():
-            if part.length == wanted:
+            if part.length == requested:
                 return columns_of(part.errors)
         known = ", ".join(str(part.length) for part in self.relative or ()) or "none"
-        raise SettingsError(f"no relative errors of {wanted}; available: {known}")
+        raise SettingsError(f"no relative errors of {requested}; available: {known}")
 
     def _pair_columns(self) -> ArrayColumns:
         aligned, vectors = self.aligned, columns_of(self.error_vectors)

@@ -98,8 +98,8 @@ def explain_no_match(
         stamps = {"estimate": estimate, "groundtruth": groundtruth}[who].stamps
         steps = np.unique(np.diff(stamps))
         if len(steps) == 1 and steps[0] > 0 and not (stamps % NANOSECONDS).any():
-            said = f"the {who} probably has numbers of frames instead of times"
-            return f"{text}; {said}; write the times of all frames to times.txt next to it"
+            cause = f"the {who} probably has numbers of frames instead of times"
+            return f"{text}; {cause}; write the times of all frames to times.txt next to it"
     shift = groundtruth_s[0] - estimate_s[0]
     if is_from_zero:
         return (

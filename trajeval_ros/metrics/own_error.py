@@ -122,17 +122,17 @@ def own_errors(
     flags = [_flagged(evaluation) for evaluation in evaluations]
     paired = [evaluation.association.groundtruth.stamps for evaluation in evaluations]
     blamed = flags[0]
-    for own, stamps in zip(flags[1:], paired[1:], strict=True):
-        blamed = np.intersect1d(blamed, np.union1d(own, np.setdiff1d(blamed, stamps)))
+    for flagged, stamps in zip(flags[1:], paired[1:], strict=True):
+        blamed = np.intersect1d(blamed, np.union1d(flagged, np.setdiff1d(blamed, stamps)))
     results: list[tuple[OwnError | None, str]] = []
-    for evaluation, own in zip(evaluations, flags, strict=True):
+    for evaluation, flagged in zip(evaluations, flags, strict=True):
         why = _why_not(evaluation)
         if why:
             results.append((None, why))
             continue
         stamps = evaluation.association.groundtruth.stamps
-        jumps = np.isin(stamps, np.intersect1d(own, blamed))
-        own_jumps = len(np.setdiff1d(own, blamed))
+        jumps = np.isin(stamps, np.intersect1d(flagged, blamed))
+        own_jumps = len(np.setdiff1d(flagged, blamed))
         results.append((_own_error(evaluation, correlation_s, jumps, own_jumps), ""))
     return results
 

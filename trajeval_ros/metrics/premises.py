@@ -43,12 +43,12 @@ class Doubts:
 
     def withheld(self, kind: type) -> dict[str, str]:
         """Return the reasons by withheld metric; `kind` is a dataclass of errors."""
-        found = {}
+        withheld = {}
         for column in dataclasses.fields(kind):
             failed = [p for p in column.metadata.get("premises", ()) if p in self.reasons]
             if failed:
-                found[column.name] = self.reasons[failed[0]]
-        return found
+                withheld[column.name] = self.reasons[failed[0]]
+        return withheld
 
     def about(self, kind: type, metric: str) -> str:
         """Return why a metric is withheld; empty if it is reported."""

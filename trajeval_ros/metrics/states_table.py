@@ -92,13 +92,17 @@ def _aligned_by(evaluation: Evaluation, first: FirstStates) -> AlignedBy:
         protocol = dataclasses.replace(
             evaluation.protocol, align_states=first.count(len(pairs)), lengths=()
         )
-        found = evaluate_pairs(pairs, evaluation.groundtruth, evaluation.estimate, protocol)
+        evaluation_of_states = evaluate_pairs(
+            pairs, evaluation.groundtruth, evaluation.estimate, protocol
+        )
     except TrajevalError as error:
         return AlignedBy(str(first), reason=str(error))
     return AlignedBy(
         states=str(first),
-        states_used=found.alignment.states_used,
-        position_m=found.ate["position_m"],
-        rotation_deg=found.ate["rotation_deg"],
-        reason=f"rotation withheld: {found.withheld}" if found.withheld else "",
+        states_used=evaluation_of_states.alignment.states_used,
+        position_m=evaluation_of_states.ate["position_m"],
+        rotation_deg=evaluation_of_states.ate["rotation_deg"],
+        reason=f"rotation withheld: {evaluation_of_states.withheld}"
+        if evaluation_of_states.withheld
+        else "",
     )

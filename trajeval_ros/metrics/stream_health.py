@@ -81,20 +81,22 @@ class StreamMonitor:
 
     def whole(self) -> StreamHealth:
         """Return the health since the start; percentiles are of at most 4096 messages."""
-        found = StreamHealth(self._messages, from_future=self._from_future, missed=self._missed)
+        health = StreamHealth(self._messages, from_future=self._from_future, missed=self._missed)
         if self._intervals and self._usual_s is not None:
             mean_s = (self._newest - self._first) / NANOSECONDS / self._intervals
             variance = self._squares_s2 / self._intervals - (mean_s - self._usual_s) ** 2
-            found = replace(
-                found,
+            health = replace(
+                health,
                 rate_hz=1.0 / mean_s,
                 jitter_s=math.sqrt(max(variance, 0.0)),
                 largest_gap_s=self._largest_ns / NANOSECONDS,
             )
         if not len(self._delays_s):
-            return found
+            return health
         p50_s, p95_s = np.percentile(self._delays_s, (50, 95)).tolist()
-        return replace(found, arrival_p50_s=p50_s, arrival_p95_s=p95_s, arrival_max_s=self._most_s)
+        return replace(
+            health, arrival_p50_s=p50_s, arrival_p95_s=p95_s, arrival_max_s=self._most_s
+        )
 
     def recent(self) -> StreamHealth:
         """Return the health of the newest 10 s: of at most 2000 and at least 10 messages."""
@@ -107,13 +109,13 @@ class StreamMonitor:
         than 1 s of the other stream. Arrivals are compared at equal timestamps, since a replay at
         another rate changes all delays.
         """
-        own, theirs = (item._newest_messages() for item in (self, other))
-        own, theirs = (item[:, item[1] != UNKNOWN] for item in (own, theirs))
-        if min(own.shape[1], theirs.shape[1]) < FEWEST_RECENT:
+        newest, theirs = (item._newest_messages() for item in (self, other))
+        newest, theirs = (item[:, item[1] != UNKNOWN] for item in (newest, theirs))
+        if min(newest.shape[1], theirs.shape[1]) < FEWEST_RECENT:
             return None
         theirs = theirs[:, np.argsort(theirs[0], kind="stable")]
         (stamps, arrived), (others, expected) = (
-            (item - theirs[:, :1]) / NANOSECONDS for item in (own, theirs)
+            (item - theirs[:, :1]) / NANOSECONDS for item in (newest, theirs)
         )
         if others[-1] < _LEAST_S:
             return None

@@ -45,7 +45,7 @@ def calibrated(**changes: Any) -> Any:
         horizon_s=1.5,
     )
     full = {
-        "wanted": CalibrationRequest(offset=True, hand_eye=True),
+        "request": CalibrationRequest(offset=True, hand_eye=True),
         "calibration": calibration,
         "estimated_from": "vio",
         "offset_applied": True,
@@ -137,16 +137,16 @@ def test_what_is_unknown_of_a_calibration_is_null() -> None:
 def test_a_transform_that_was_given_has_no_fit() -> None:
     known = CalibrationRequest(known=HandEye.of(None, None), source="x.yaml")
     found = calibration_json(
-        calibrated(wanted=known, calibration=None, parameters_applied=0, if_applied=Ate(5.0, 6.0))
+        calibrated(request=known, calibration=None, parameters_applied=0, if_applied=Ate(5.0, 6.0))
     )
     assert found["hand_eye"] == {"source": "x.yaml", "rotation": None, "lever_arm": None}
     for name in ("estimated_from", "time_offset", "blocks", "increments", "horizon_s"):
         assert found[name] is None
     assert found["parameters_fitted"] == 0
     assert list(found["ate"]["if_applied"].values()) == [5.0, 6.0]
-    only = calibration_json(calibrated(wanted=CalibrationRequest(offset=True), hand_eye=None))
+    only = calibration_json(calibrated(request=CalibrationRequest(offset=True), hand_eye=None))
     assert only["hand_eye"] is only["T_body_marker"] is None
-    other = calibration_json(calibrated(wanted=CalibrationRequest(hand_eye=True)))
+    other = calibration_json(calibrated(request=CalibrationRequest(hand_eye=True)))
     assert other["time_offset"] is None
 
 
