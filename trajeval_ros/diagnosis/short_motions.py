@@ -103,7 +103,7 @@ class ShortMotions:
         rows, columns, quaternions = rows[:, known], [poses.positions], None
         if poses.quaternions is not None and estimate.quaternions is not None:
             columns, quaternions = [*columns, poses.quaternions], estimate.quaternions[rows]
-        by_time = [column.reshape(*at.shape, -1)[:, :, known] for column in columns]
+        by_time = [item.reshape(*at.shape, item.shape[-1])[:, :, known] for item in columns]
         around = tuple(PoseEnds(*(column[k] for column in by_time)) for k in range(len(at)))
         seconds = times[rows].mean(axis=0) - middle_s
         return cls(seconds, around, PoseEnds(estimate.positions[rows], quaternions), duration_s)
