@@ -161,10 +161,7 @@ def _tested_where_tracked(
             certain, diagnosis = frozen, whole
     uncertain = [loss for loss in losses if loss not in certain and is_long(loss, pairs)]
     from_start = any(begins_at_start(loss, pairs) for loss in uncertain)
-    is_over = all(loss.is_over for loss in uncertain)
-    if uncertain and not any(
-        _explains_loss(one, from_start, is_over) for one in diagnosis.findings
-    ):
+    if uncertain and not any(_explains_loss(one, from_start) for one in diagnosis.findings):
         certain = sorted((*certain, *uncertain), key=lambda loss: loss.t_ns)
         diagnosis = _tested(inputs, certain)
     if not certain:
@@ -175,13 +172,10 @@ def _tested_where_tracked(
     return Diagnosis.of([lost, *rest]), True
 
 
-def _explains_loss(finding: Finding, from_start: bool, is_over: bool) -> bool:
-    """Return whether a mistake makes displacements differ, from the start or later.
-
-    The difference by a lever arm is bounded, so it ends.
-    """
-    if finding.cause in ("other_run", "lever_arm"):
-        return from_start if finding.cause == "other_run" else is_over
+def _explains_loss(finding: Finding, from_start: bool) -> bool:
+    """Return whether a mistake makes displacements differ, from the start or later."""
+    if finding.cause == "other_run":
+        return from_start
     return finding.rank >= CAUSES["unit"].rank and finding.cause != "swapped"
 
 
