@@ -48,9 +48,10 @@ def is_certain(loss: Loss, pairs: Association) -> bool:
 
 
 def is_large(loss: Loss, pairs: Association) -> bool:
-    """Return whether a loss lasts until the end, or is long and larger than a large drift."""
+    """Return whether a loss is larger than a large drift, and long or until the end."""
     differs = max(loss.moved_m, loss.m) > _LARGE * min(loss.moved_m, loss.m)
-    return not loss.is_over or (differs and loss.s > _LARGE_PART * pairs.estimate.duration_s)
+    is_long = not loss.is_over or loss.s > _LARGE_PART * pairs.estimate.duration_s
+    return differs and is_long
 
 
 def begins_at_start(loss: Loss, pairs: Association) -> bool:
