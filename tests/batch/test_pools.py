@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 from comparison_runs import DeadlyRun, write_run, write_runs
@@ -21,12 +23,13 @@ from paths import ROOT
 
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.executors import evaluate_all, local_pool
+from trajeval_ros.batch.executors import Pool, evaluate_all, local_pool, results_in_order
 from trajeval_ros.batch.finished_comparison import RUNS
 from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.records import OWN, RECORDS, RecordStore
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.batch.worker import Task, WorkerResult
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.pipeline.request import Request
 
@@ -86,6 +89,39 @@ def test_a_deadly_run_stays_in_the_table(tmp_path: Path, monkeypatch: pytest.Mon
     assert (progress.done, progress.failed) == (7, 1)
     (lost,) = ResultsTable(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")
     assert "was killed" in lost["reason"]
+
+
+class Failing(ThreadPoolExecutor):
+    """A cluster whose calls end with an exception."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(1)
+        self._error = error
+
+    def submit(self, *_: Any, **__: Any) -> Future[Any]:  # type: ignore[override]
+        future: Future[Any] = Future()
+        future.set_exception(self._error)
+        return future
+
+
+def test_a_killed_worker_of_a_cluster_leaves_the_tables() -> None:
+    scheduler = pytest.importorskip("distributed.scheduler", reason="Dask is missing")
+    state = scheduler.WorkerState(
+        address="tcp://127.0.0.1:1", status="closed", pid=1, name="w", nthreads=1,
+        memory_limit=1, local_directory="", nanny="", server_id="w", services={}, extra={},
+    )  # fmt: skip
+    killed = scheduler.KilledWorker("figure", state, 3)
+
+    def drawn(error: Exception) -> list[Any]:
+        return list(results_in_order(Pool(lambda _: Failing(error), 1), str, ["figure"]))
+
+    for error in (killed, BrokenExecutor()):
+        with pytest.raises(InputError, match="; the tables are complete; draw again"):
+            drawn(error)
+    with pytest.raises(InputError, match="connection to the cluster is lost"):
+        drawn(CancelledError())  # type: ignore[arg-type]
+    with pytest.raises(ZeroDivisionError):  # of a figure
+        drawn(ZeroDivisionError())
 
 
 def children_of(process: int) -> list[int]:

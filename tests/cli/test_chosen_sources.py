@@ -60,6 +60,7 @@ CASES = {
     "vins": ([TRUTH, ("/vins_estimator/odometry", ODOM), INERTIAL, LEFT], "stereo-inertial"),
     "rko_lio": ([TRUTH, ("/rko_lio/odom", ODOM), INERTIAL, POINTS], "lidar-inertial"),
     "kiss": ([TRUTH, ("/kiss/odometry", ODOM), POINTS], "lidar"),
+    "small_gicp": ([TRUTH, ("/small_gicp/odometry", ODOM)], "lidar"),
     "rtabmap": ([TRUTH, ("/rtabmap/odom", ODOM), LEFT, DEPTH], "rgbd"),
     "robot_localization": ([TRUTH, ("/odometry/filtered", ODOM), INERTIAL], "wheel"),
     "wheels": ([TRUTH, ("/wheel/odom", ODOM), INERTIAL], "wheel"),
@@ -173,3 +174,50 @@ def test_a_gauge_of_the_user_is_kept(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "--modality" not in printed.out.splitlines()[-1]
     assert printed.out.splitlines()[-1].endswith("--gauge se3")
     assert "sensors" not in printed.err
+
+
+@pytest.mark.parametrize("options", [[], ["--lengths", "4"], ["--strict"]])
+def test_the_result_is_that_of_the_repeating_command(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = bag(tmp_path, TRUTH, ("/vio/odometry", ODOM), ("/okvis/odometry", ODOM), INERTIAL)
+    assert main([str(recording), "--json", str(tmp_path / "one.json"), *options]) == 0
+    command = capsys.readouterr().out.partition("repeat: ")[2].splitlines()[0]
+    _, *words = shlex.split(command)
+    words[words.index(str(tmp_path / "one.json"))] = str(tmp_path / "other.json")
+    assert main(words) == 0
+    one, other = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("one", "other"))
+    remarks = one["groundtruth"]["remarks"]
+    one["groundtruth"]["remarks"] = [item for item in remarks if item["code"] != "assumed"]
+    assert one == other
+
+
+@pytest.mark.parametrize("options", [[], ["--strict"]])
+def test_a_recording_is_read_once(
+    options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from trajeval_ros.io.bags import topic_readers
+
+    passes = []
+    reading = topic_readers.read_topics
+
+    def counted(*arguments: Any) -> None:
+        passes.append(arguments)
+        reading(*arguments)
+
+    for module in ("topic_readers", "topics"):
+        monkeypatch.setattr(f"trajeval_ros.io.bags.{module}.read_topics", counted)
+    recording = bag(tmp_path, TRUTH, ("/vio/odometry", ODOM), INERTIAL)
+    assert main([str(recording), *options]) == 0
+    assert len(passes) == 1 + len(options)
+
+
+def test_a_folder_of_many_runs_is_for_a_comparison(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in range(21):
+        (tmp_path / f"run_{number}.txt").write_text("1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n")
+    assert main([str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "21 sources" in said
+    assert f"trajeval compare {tmp_path}" in said

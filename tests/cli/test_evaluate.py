@@ -27,9 +27,9 @@ def test_the_verdict_comes_first_then_the_tables(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("estimate: position error 0.06")
     assert lines[1].startswith("  worst: ")
-    assert lines[2].startswith("  aligned by yaw and position; ")
+    assert lines[2].startswith("  aligned by yaw and position (4-DoF); ")
     below = "\n".join(lines[3:])
-    assert "yaw and translation, 4-DoF) for stereo-inertial, all 400 states" in below
+    assert "yaw and position (4-DoF), gauge yaw for stereo-inertial, all 400 pairs" in below
     assert "100 % of the estimate's poses" in below
     assert any("position [m]" in line and "400" in line for line in lines)
     assert any("8 m" in line for line in lines)
@@ -85,7 +85,7 @@ def test_json_goes_alone_to_standard_output_and_twice_the_same(
     assert main([*pair, "--json", "-"]) == 0
     assert capsys.readouterr().out == first
     result = json.loads(first)
-    assert result["schema"] == "trajeval/2"
+    assert result["schema"] == "trajeval/3"
     assert len(result["runs"]) == 1
     ate = result["runs"][0]["ate"]
     assert list(ate["position_m"]) == [

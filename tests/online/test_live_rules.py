@@ -21,7 +21,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level, warning
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, FROZEN, Loss
 from trajeval_ros.online import live_relative_errors
 from trajeval_ros.online.alarms import AlarmLimits, about_loss, alarm_below
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -93,13 +93,14 @@ def test_an_alarm_below_a_limit(value: float, level: Level | None) -> None:
 @pytest.mark.parametrize("cause", [FROZEN, DIVERGED])
 @pytest.mark.parametrize("is_error", [False, True])
 def test_a_loss_is_told_with_its_numbers(cause: str, *, is_error: bool) -> None:
-    loss = Loss(cause, 5_250_000_000, 9_000_000_000, 4.0, 0.0, 7.0, is_error, is_over=False)
+    lasted_s = 3.0 if is_error else 2.99
+    loss = Loss(cause, ESTIMATE, 5_250_000_000, 9_000_000_000, m=4.0, s=lasted_s, moved_m=7.0)
     [remark] = about_loss(dataclasses.replace(EMPTY, loss=loss))
     assert remark.level == (Level.ERROR if is_error else Level.WARNING)
     assert remark.code == cause
     assert "since 5.250 s" in remark.text
     assert ("repeats its pose" in remark.text) == (cause == FROZEN)
-    values = {"stamp_ns": 5_250_000_000, "duration_s": 3.75, "true_m": 4.0, "moved_m": 7.0}
+    values = {"stamp_ns": 5_250_000_000, "duration_s": lasted_s, "true_m": 4.0, "moved_m": 7.0}
     assert remark.values == values
     [known] = about_loss(dataclasses.replace(EMPTY, loss=loss, ate_before_loss_m=0.25))
     assert known.text == f"{remark.text}; the ATE until then is 0.25 m"

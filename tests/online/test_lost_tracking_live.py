@@ -50,10 +50,10 @@ def test_live_and_recorded_report_the_same_loss(name: str, code: str) -> None:
     evaluation = evaluate(pair.truth, pair.estimate, protocol)
     (finding,) = diagnose(evaluation, pair.truth, pair.estimate)[1].findings
     assert finding.cause == code
-    (loss,) = live.tracking.losses
-    at_s = (loss.begin_ns - pair.truth.stamps[0]) / 1e9
+    (loss,) = live.losses.events
+    at_s = (loss.t_ns - pair.truth.stamps[0]) / 1e9
     assert finding.evidence["at_s"] == pytest.approx(at_s, abs=1e-6)
-    tracked = pair.estimate.stamps <= loss.begin_ns
+    tracked = pair.estimate.stamps <= loss.t_ns
     until = evaluate(pair.truth, pair.estimate[tracked], protocol).ate["position_m"]
     assert until is not None
     assert told[-1].values["ate_before_m"] == pytest.approx(until.rmse, rel=0.05)

@@ -153,7 +153,7 @@ def test_titles_are_left_out_and_stay_in_the_metadata(
         style = FigureStyle(has_titles=has_titles)
         path = save_all(evaluation_drawings(evaluations[:1]), tmp_path, style)[0]
         with Image.open(path) as image:
-            assert "yaw and translation" in image.info["Title"]
+            assert "yaw and position" in image.info["Title"]
         high[has_titles] = len(imread(path))
     assert high[False] < high[True]
 

@@ -136,17 +136,17 @@ def test_titles_state_the_definitions() -> None:
     evaluation = _evaluation()
     absolute = _texts([evaluation], "absolute_error")
     assert f"all {len(evaluation.association)} pairs" in absolute
-    assert "yaw and translation" in absolute
+    assert "yaw and position" in absolute
     assert "position difference" in absolute
     assert f"RMSE {evaluation.ate['position_m'].rmse:.3g} m" in absolute
     assert f"{round(100 * evaluation.association.groundtruth_coverage)} % covered" in absolute
     assert "position error [m]" in absolute
     assert "distance travelled [m]" in absolute
     relative = _texts([evaluation], "relative_error")
-    assert "at the first state by yaw and translation" in relative
+    assert "at the first state by yaw and position" in relative
     assert str(evaluation.relative[0].statistics["position_m"].count) in relative
     first = _evaluation(protocol=Protocol(gauge=Gauge.SE3, align_states=1, re_form="se3"))
-    assert "SE(3), rigid body, the first pair" in _texts([first], "top_view")
+    assert "position (SE(3)), gauge se3, the first pair" in _texts([first], "top_view")
     assert "by SE(3)" in _texts([first], "relative_error")
 
 

@@ -21,8 +21,8 @@ pytestmark = pytest.mark.ros
 
 FAULT_S, FREEZE_S = 12.0, (12.0, 19.0)
 GOOD, FROZEN, STEPPED = (f"/groundtruth/{name}" for name in ("good", "frozen", "stepped"))
-STEADY, HELD, SMALL, LARGE, CLOCK = (
-    f"/vio/{name}" for name in ("steady", "held", "small", "large", "clock")
+STEADY, HELD, SMALL, LARGE, CLOCK, SLOW, NOISY = (
+    f"/vio/{name}" for name in ("steady", "held", "small", "large", "clock", "slow", "noisy")
 )
 BEFORE_THE_FIRST_MESSAGE = " yet on "
 # Groundtruth, estimate, kind, side, size, start of the sentence, and whether it ends.
@@ -61,6 +61,21 @@ def frozen(source: Trajectory, *, rotates: bool) -> Trajectory:
     return dataclasses.replace(source, positions=source.positions[rows], quaternions=turned)
 
 
+def diverging(source: Trajectory) -> Trajectory:
+    """Return a trajectory that accelerates by 0.1 m/s^2."""
+    since_s = np.maximum(source.seconds - FAULT_S, 0.0)
+    added = np.outer(0.05 * since_s**2, [0.6, 0.8, 0.0])
+    return dataclasses.replace(source, positions=source.positions + added)
+
+
+def held_with_noise(source: Trajectory) -> Trajectory:
+    """Return a trajectory whose position stays within a millimetre."""
+    positions, begin = source.positions.copy(), int(source.seconds.searchsorted(FAULT_S))
+    noise = np.random.default_rng(1).normal(0.0, 0.001, positions[begin:].shape)
+    positions[begin:] = positions[begin] + noise
+    return dataclasses.replace(source, positions=positions)
+
+
 def of_stepped_clock(source: Trajectory) -> list[Message]:
     """Return messages whose timestamps step forward, and whose times of the bag do not."""
     step_ns = round(0.5 * NANOSECONDS)
@@ -85,6 +100,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *messages_of(frozen(estimate, rotates=True), HELD, ODOM),
         *messages_of(moved(estimate, -0.3), SMALL, ODOM),
         *messages_of(moved(estimate, 0.5), LARGE, ODOM),
+        *messages_of(diverging(estimate), SLOW, ODOM),
+        *messages_of(held_with_noise(estimate), NOISY, ODOM),
         *of_stepped_clock(estimate),
     ]
     write_messages(path, messages)
@@ -131,7 +148,8 @@ def heard(
     common = {"gauge": "yaw", "lengths": "8"}
     nodes = {
         "good": {
-            **common, "groundtruth": GOOD, "estimates": [STEADY, HELD, SMALL, LARGE, CLOCK],
+            **common, "groundtruth": GOOD,
+            "estimates": [STEADY, HELD, SMALL, LARGE, CLOCK, SLOW, NOISY],
         },
         "frozen": {**common, "groundtruth": FROZEN, "estimates": [STEADY]},
         "stepped": {**common, "groundtruth": STEPPED, "estimates": [STEADY]},
@@ -160,6 +178,22 @@ def test_status_log_event_and_result_say_the_same(heard: Heard, row: str) -> Non
         assert measured == pytest.approx(size, abs=0.06)
     else:
         assert float(event["s"]) < FREEZE_S[1] - FREEZE_S[0]  # it is reported while it lasts
+
+
+@pytest.mark.parametrize("topic", [SLOW, NOISY])
+def test_a_divergence_is_told_live_and_in_the_result(heard: Heard, topic: str) -> None:
+    name, sentence = topic.strip("/").replace("/", "_"), "the estimate diverges from "
+    told = [item for item in heard.statuses if item.name == f"good: {name}"]
+    events = [item for item in heard.events["good"] if item.name.endswith(name)]
+    for items in (told, events):  # a warning, and after 3 s an error
+        levels = [item.level for item in items if item.message.startswith(sentence)]
+        assert levels
+        assert levels == sorted(levels)
+        assert levels[-1] == b"\x02"
+    assert sentence in heard.nodes["good"].said
+    [finding] = heard.nodes["good"].run_of(topic)["diagnosis"]
+    assert finding["cause"] == "diverged"
+    assert finding["evidence"]["at_s"] == pytest.approx(FAULT_S, abs=6.0)
 
 
 def kind_words(kind: str, sentence: str) -> str:

@@ -187,7 +187,7 @@ def test_the_command_aligns_with_poses(tmp_path: Path, capsys: pytest.CaptureFix
     files = ["-g", str(tmp_path / "g.txt"), "-e", str(tmp_path / "e.txt")]
     result = tmp_path / "result.json"
     assert main([*words, *files, f"--json={result}"]) == 0
-    assert "all 301 states with orientations" in capsys.readouterr().out
+    assert "all 301 pairs with orientations" in capsys.readouterr().out
     found = json.loads(result.read_text())
     assert found["provenance"]["settings"]["align_with"] == "poses"
     assert found["runs"][0]["ate"]["rotation_deg"]["rmse"] < 2.0

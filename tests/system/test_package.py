@@ -53,6 +53,7 @@ ARRAYS = ("Booleans", "Bytes", "Floats", "Indices", "NDArray", "Stamps")
 CHANGING = {
     "Chunk",
     "Event",
+    "Loss",
     "McapContents",
     "MessageIndex",
     "OpenStep",

@@ -146,7 +146,8 @@ def test_overload_is_lost_tracking(capsys: pytest.CaptureFixture[str]) -> None:
     said = said_of("overload", capsys)
     for word in ("keyframe", "square degrees", "restart"):
         assert word not in said
-    assert said.count("the estimate diverges from") == 2
+    # small_gicp moves up to 0.4 m/s too fast while it gets 1 to 7 of 10 scans: 0.02 m/s before.
+    assert said.count("the estimate diverges from") == 3
 
 
 @pytest.mark.slow

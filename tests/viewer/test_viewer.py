@@ -20,8 +20,8 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_available
+from trajeval_ros.metrics.discontinuities.events import ESTIMATE, FROZEN, Loss
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.tracking_loss import FROZEN, Loss
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.simulation.drifting_odometry import simulate
@@ -445,7 +445,7 @@ def test_a_lane_shows_a_frozen_estimate_from_its_begin_on() -> None:
     drawn: list[tuple[int, str]] = []
     recording = SimpleNamespace(send=lambda *_: None, log=lambda time, *_: drawn.append(time))
     lanes, second = LiveLanes(cast("Any", recording)), 1_000_000_000
-    lost = Loss.beginning(FROZEN, 5 * second)
+    lost = Loss(FROZEN, ESTIMATE, 5 * second, 5 * second)
     lanes.tracking("tracking/a", second, lost)
     assert drawn == []  # the lane begins with the first pair
     lanes.change("tracking/a", second, TRACKED)

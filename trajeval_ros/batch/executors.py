@@ -35,6 +35,7 @@ from trajeval_ros.linear_algebra_threads import one_thread_for_children
 Finish = Callable[[Task, WorkerResult], None]
 
 _PATIENCE_S = 10.0
+_KILLED = "KilledWorker"  # of dask.distributed
 _DIED = "the worker process was killed, probably out of memory"
 
 
@@ -143,10 +144,13 @@ def results_in_order(
                     yield task, future.result()
             for task, future in running:
                 yield task, future.result()
-        except BrokenExecutor as error:
-            raise InputError(f"{_DIED}; use fewer --workers, or --figures 0") from error
-        except CancelledError as error:
-            raise InputError(_failure(error)) from error
+        except Exception as error:
+            if not isinstance(error, BrokenExecutor) and not _is_of_cluster(error):
+                raise
+            raise InputError(
+                f"{_failure(error)}; the tables are complete; draw again with fewer --workers, or "
+                "use --figures 0"
+            ) from error
 
 
 def _drain(
@@ -194,22 +198,26 @@ def _submit(executor: Executor, task: Task) -> Future[WorkerResult]:
 def _outcome(future: Future[WorkerResult]) -> WorkerResult:
     try:
         return future.result()
-    except BrokenExecutor:
-        return WorkerResult(None, _DIED)
     except Exception as error:
         return WorkerResult(None, _failure(error))
 
 
 def _failure(error: Exception) -> str:
     """Return the reason of a failure outside of the run's evaluation."""
-    if isinstance(error, CancelledError) or type(error).__name__ == "FutureCancelledError":
+    if isinstance(error, BrokenExecutor) or type(error).__name__ == _KILLED:
+        return _DIED
+    if _is_of_cluster(error):
         raise InputError(
             "the connection to the cluster is lost; start again to continue, finished runs are "
             "kept"
         ) from error
-    if type(error).__name__ == "KilledWorker":
-        return _DIED
     return f"{type(error).__name__}: {error}"
+
+
+def _is_of_cluster(error: Exception) -> bool:
+    """Return whether a cluster lost a worker or its connection, by names of dask.distributed."""
+    names = (_KILLED, "FutureCancelledError")
+    return isinstance(error, CancelledError) or type(error).__name__ in names
 
 
 class _Workers(Executor):

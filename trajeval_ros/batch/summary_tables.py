@@ -54,8 +54,8 @@ def definition(settings: dict[str, Any]) -> str:
         model=settings["continuous_model"],
     )
     return (
-        f"Protocol {settings['protocol']}, aligned by {settings['gauge']} "
-        f"({Gauge(settings['gauge']).description}){modality} with {how}; "
+        f"Protocol {settings['protocol']}, aligned by "
+        f"{Gauge(settings['gauge']).description}, gauge {settings['gauge']}{modality}, {how}; "
         f"{METHOD_TEXTS[rule.method].format(rule)}.{_calibration(settings)}"
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,8 +29,10 @@ def recording_of(by_position: Sequence[str], *named: object) -> str:
     return by_position[0] if path.is_dir() or has_topics else ""
 
 
-def chosen_evaluation(recording: str, *, is_gauge_given: bool) -> LikelyEvaluation:
-    """Return the likely evaluation of a recording.
+def chosen_evaluation(
+    recording: str, read: dict[str, Trajectory], *, is_gauge_given: bool
+) -> LikelyEvaluation:
+    """Return the likely evaluation of a recording; `read` receives its trajectories by SOURCE.
 
     Raises:
         InputError: No groundtruth or no estimate is likely, or two evaluations are equally likely.
@@ -43,7 +45,7 @@ def chosen_evaluation(recording: str, *, is_gauge_given: bool) -> LikelyEvaluati
     if Path(recording).suffix == ".ulg":
         return simulated_evaluation(Path(recording), has_gauge=is_gauge_given)
     with progress(f"searching {recording}") as advance:
-        description = describe_all(Path(recording), advance)
+        description = describe_all(Path(recording), read, advance)
     likely = likely_evaluations(description, has_one_gauge=is_gauge_given)
     if len(likely) == 1 and likely[0].groundtruth:
         return likely[0]
@@ -59,6 +61,23 @@ def chosen_evaluation(recording: str, *, is_gauge_given: bool) -> LikelyEvaluati
         f"{recording} has {counted(len(likely), 'likely evaluation')}, so none is calculated; "
         "call one of these commands"
     )
+
+
+def as_read(
+    read: Mapping[str, Trajectory],
+    sources: Sequence[str],
+    names: Sequence[str],
+    covariances: Sequence[bool],
+) -> list[Trajectory]:
+    """Return trajectories of the search as reading them again does."""
+    found = []
+    for source, name, wanted in zip(sources, names, covariances, strict=True):
+        trajectory = read[source]
+        reading = dataclasses.replace(trajectory.reading, source=source)
+        found.append(dataclasses.replace(trajectory, name=name, reading=reading))
+        if not wanted and parse_source(source).is_bag:
+            found[-1] = dataclasses.replace(found[-1], covariances=None)
+    return found
 
 
 def with_reasons(groundtruth: Trajectory, chosen: LikelyEvaluation) -> Trajectory:

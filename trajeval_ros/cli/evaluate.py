@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.cli.chosen_sources import chosen_evaluation, recording_of, repeated, with_reasons
+from trajeval_ros.cli.chosen_sources import (
+    as_read,
+    chosen_evaluation,
+    recording_of,
+    repeated,
+    with_reasons,
+)
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.evaluation_output import refuse_inputs, write_and_print
 from trajeval_ros.cli.options import (
@@ -29,6 +35,9 @@ from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.report.definitions import RELATIVE_STATISTICS
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
+
+if TYPE_CHECKING:
+    from trajeval_ros.geometry.trajectory import Trajectory
 
 _GAUGES = ("gauge", "modality", "protocol")  # settings that state a gauge
 _PARAMETERS = (
@@ -114,9 +123,10 @@ def evaluate(
             --groundtruth-noise 0.01,1
     """
     chosen = None
+    recorded: dict[str, Trajectory] = {}
     if recording := recording_of(by_position, groundtruth, estimate):
         is_gauge_given = any(settings[name] for name in _GAUGES)
-        chosen = chosen_evaluation(recording, is_gauge_given=is_gauge_given)
+        chosen = chosen_evaluation(recording, recorded, is_gauge_given=is_gauge_given)
         by_position, groundtruth, estimate = (), chosen.groundtruth, chosen.estimates
         settings["modality"] = chosen.modality or settings["modality"]
     request = request_from(settings)
@@ -136,14 +146,20 @@ def evaluate(
     hints = SideHints.of(columns, frame_rate)
     every_hint = [hints.groundtruth, *[hints.estimate] * (len(sources) - 1)]
     flags = [request.reads_covariances] * (len(sources) - 1)
-    reference, *estimates = read_shown(
-        sources,
-        names,
-        covariances=[request.reads_groundtruth_covariances, *flags],
-        strict=strict,
-        hints=every_hint,
-        received=request.received,
-    )
+    flags = [request.reads_groundtruth_covariances, *flags]
+    is_read = all(source in recorded for source in sources)
+    if is_read and not (strict or request.received or columns or frame_rate):
+        reference, *estimates = as_read(recorded, sources, names, flags)
+    else:
+        reference, *estimates = read_shown(
+            sources,
+            names,
+            covariances=flags,
+            strict=strict,
+            hints=every_hint,
+            received=request.received,
+        )
+    recorded.clear()  # the other topics
     require_used(list(zip(every_hint, [reference, *estimates], strict=True)))
     if chosen is not None:
         reference = with_reasons(reference, chosen)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.diagnosis.causes import CAUSES
-from trajeval_ros.diagnosis.column_tests import columns_of_others
+from trajeval_ros.diagnosis.column_tests import tests_of_columns
 from trajeval_ros.diagnosis.discontinuities import (
     changes_motions,
     examined_discontinuities,
@@ -26,33 +26,26 @@ from trajeval_ros.diagnosis.evaluation_tests import (
     frame_offset,
     number_of_pairs,
 )
-from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding, TestResult
+from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding
 from trajeval_ros.diagnosis.input_pair import FEWEST, InputPair
-from trajeval_ros.diagnosis.input_tests import (
-    duplicated_rows,
-    rounded_stamps,
-    same_positions,
-    standing_still,
-    swapped_names,
-)
 from trajeval_ros.diagnosis.lost_tracking_tests import (
     begins_at_start,
     is_certain,
-    is_large,
+    is_long,
     losses_in,
     lost_tracking,
 )
 from trajeval_ros.diagnosis.motion_tests import tests_of_motion
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
-from trajeval_ros.metrics.tracking_loss import FROZEN
+from trajeval_ros.metrics.discontinuities.events import FROZEN
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.metrics.discontinuities.events import Loss
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.input_summary import InputSummary
     from trajeval_ros.metrics.protocol import Protocol
-    from trajeval_ros.metrics.tracking_loss import Loss
 
 # These findings invalidate all other tests.
 _FINAL = {
@@ -86,15 +79,15 @@ def diagnose(
         motions hides discontinuities: they are searched for after its correction.
     """
     protocol, pairs = evaluation.protocol, evaluation.association
-    sides, time_offset_s = (groundtruth, estimate), None
+    sides, offset_s = (groundtruth, estimate), protocol.association.time_offset_s
     if paired or pairs.rule.method == "index":
-        sides, time_offset_s = (pairs.groundtruth, pairs.estimate), 0.0
+        sides, offset_s = (pairs.groundtruth, pairs.estimate), 0.0
         protocol = dataclasses.replace(protocol, association=pairs.rule)
     elif protocol.lever_m is not None:
         sides = evaluation.groundtruth, evaluation.estimate
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
-    inputs = InputPair.of(*sides, protocol, time_offset_s=time_offset_s)
+    inputs = InputPair(*sides, protocol, offset_s)
     known, is_partial = _tested_where_tracked(losses, pairs, inputs)
     if known.named("other_run") and _is_of_noisy_fixes(evaluation):
         known = known.without("other_run", "fixes are noisier than short motions")
@@ -103,7 +96,7 @@ def diagnose(
     # A flip changes no rate of motion, by which clocks and other runs are known.
     is_apart = known.names_any(_OTHER_PAIRS) and not has_clock_step(evaluation)
     if changes_motions(evaluation) and not is_apart:
-        known, is_partial = Diagnosis.of(_tests_of_sides(inputs)), True
+        known, is_partial = Diagnosis.of(tests_of_columns(inputs)), True
     examined = [number, *known.examined, examined_discontinuities(evaluation, known)]
     if not is_partial:
         examined.append(frame_offset(evaluation))
@@ -139,7 +132,7 @@ def diagnose_inputs(
     """Search for mistakes in two trajectories that can't be evaluated."""
     groundtruth.require_usable()
     estimate.require_usable()
-    inputs = InputPair.of(groundtruth, estimate, protocol)
+    inputs = InputPair(groundtruth, estimate, protocol, protocol.association.time_offset_s)
     try:
         pairs = associate(groundtruth, estimate, protocol.association)
     except InputError:  # no pairs: their number is not the cause
@@ -161,15 +154,15 @@ def _tested_where_tracked(
     certain = [loss for loss in losses if is_certain(loss, pairs)]
     diagnosis = _tested(inputs, certain)
     # What follows from wrong pairs is no divergence.
-    frozen = [loss for loss in certain if loss.cause == FROZEN]
+    frozen = [loss for loss in certain if loss.kind == FROZEN]
     if len(frozen) < len(certain) and diagnosis.names_any(_OTHER_PAIRS):
         whole = _tested(inputs, frozen)
         if whole.names_any(_OTHER_PAIRS):
             certain, diagnosis = frozen, whole
-    uncertain = [loss for loss in losses if loss not in certain and is_large(loss, pairs)]
+    uncertain = [loss for loss in losses if loss not in certain and is_long(loss, pairs)]
     from_start = any(begins_at_start(loss, pairs) for loss in uncertain)
     if uncertain and not any(_explains_loss(one, from_start) for one in diagnosis.findings):
-        certain = sorted((*certain, *uncertain), key=lambda loss: loss.begin_ns)
+        certain = sorted((*certain, *uncertain), key=lambda loss: loss.t_ns)
         diagnosis = _tested(inputs, certain)
     if not certain:
         return diagnosis, False
@@ -197,8 +190,8 @@ def require_conventions(
         groundtruth, estimate = pairs.groundtruth, pairs.estimate
     groundtruth.require_usable()
     estimate.require_usable()
-    offset_s = None if pairs is None else 0.0
-    inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=offset_s)
+    offset_s = protocol.association.time_offset_s if pairs is None else 0.0
+    inputs = InputPair(groundtruth, estimate, protocol, offset_s)
     if (finding := _tested(inputs).of_conventions()) is not None:
         raise InputError(f"--hand-eye auto needs correct conventions, but {finding.text}")
 
@@ -218,14 +211,8 @@ def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
         inputs = inputs.tracked(losses)
         if min(len(inputs.groundtruth), len(inputs.estimate)) < FEWEST:
             return Diagnosis()
-    of_sides = Diagnosis.of(_tests_of_sides(inputs))
+    of_sides = Diagnosis.of(tests_of_columns(inputs))
     if of_sides.names_any(_FINAL):
         return of_sides
-    return Diagnosis.of([*of_sides.examined, *tests_of_motion(inputs)])
-
-
-def _tests_of_sides(inputs: InputPair) -> list[TestResult]:
-    tests = (
-        standing_still, rounded_stamps, same_positions, duplicated_rows, swapped_names,
-    )  # fmt: skip
-    return [*(test(inputs) for test in tests), *columns_of_others(inputs)]
+    is_copied = of_sides.names_any(["duplicated"])
+    return Diagnosis.of([*of_sides.examined, *tests_of_motion(inputs, is_copied=is_copied)])

@@ -11,8 +11,8 @@ from trajeval_ros.diagnosis.findings import Detection, TestResult, Value
 from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.lost_tracking import losses_of
-from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN, Loss
+from trajeval_ros.metrics.discontinuities.lost_tracking import losses_of
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 _START_S = 1.0  # a loss within this time after the first pair is one of the start
 # Of the size of the groundtruth's path. Inverse poses have up to twice its size.
 _UNBOUNDED = 3.0
-_LARGE_PART, _LARGE = 0.2, 1.5  # of the run, and of the groundtruth's path
+_LARGE_PART = 0.2  # of the run: a shorter divergence is one of its errors
 
 
 def losses_in(pairs: Association) -> Sequence[Loss]:
     """Return the losses of tracking in pairs; none without timestamps."""
     if pairs.rule.method == "index":
         return ()
-    return losses_of(pairs.groundtruth, pairs.estimate, of_fixes=pairs.is_at_groundtruth)
+    return losses_of(pairs.groundtruth, pairs.estimate, of_fixes=pairs.is_at_groundtruth).events
 
 
 def is_certain(loss: Loss, pairs: Association) -> bool:
@@ -36,26 +36,25 @@ def is_certain(loss: Loss, pairs: Association) -> bool:
 
     Until the loss, the sizes of both paths give the unit of the estimate.
     """
-    if loss.cause == FROZEN:
+    if loss.kind == FROZEN:
         return True
     stamps = pairs.estimate.stamps
     groundtruth, estimate = pairs.groundtruth.positions, pairs.estimate.positions
-    before, lost = stamps <= loss.begin_ns, (stamps > loss.begin_ns) & (stamps <= loss.end_ns)
+    before, lost = stamps <= loss.t_ns, (stamps > loss.t_ns) & (stamps <= loss.end_ns)
     if np.count_nonzero(before) < FEWEST or loss.is_over:
         return False
     unit = _size(groundtruth[before]) / max(_size(estimate[before]), 1e-12)
     return unit * _size(estimate[lost]) > _UNBOUNDED * _size(groundtruth)
 
 
-def is_large(loss: Loss, pairs: Association) -> bool:
-    """Return whether a divergence is long, and larger than a large drift."""
-    is_long = not loss.is_over or loss.duration_s > _LARGE_PART * pairs.estimate.duration_s
-    return is_long and loss.moved_m > _LARGE * loss.true_m
+def is_long(loss: Loss, pairs: Association) -> bool:
+    """Return whether a loss lasts until the end, or for a large part of the run."""
+    return not loss.is_over or loss.s > _LARGE_PART * pairs.estimate.duration_s
 
 
 def begins_at_start(loss: Loss, pairs: Association) -> bool:
     """Return whether a loss begins with the first pairs."""
-    return loss.begin_ns - int(pairs.estimate.stamps[0]) < _START_S * NANOSECONDS
+    return loss.t_ns - int(pairs.estimate.stamps[0]) < _START_S * NANOSECONDS
 
 
 def _size(positions: Floats) -> float:
@@ -66,19 +65,19 @@ def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> 
     """Report losses, by times since `first_ns`, the groundtruth's first timestamp."""
     seen = []
     for kind in (DIVERGED, FROZEN):
-        some = [loss for loss in losses if loss.cause == kind]
+        some = [loss for loss in losses if loss.kind == kind]
         if not some:
             continue
-        longest = max(some, key=lambda loss: loss.duration_s)
+        longest = max(some, key=lambda loss: loss.s)
         loss = some[0] if kind == DIVERGED else longest
         values: dict[str, Value] = {
-            "at_s": (loss.begin_ns - first_ns) / NANOSECONDS,
+            "at_s": (loss.t_ns - first_ns) / NANOSECONDS,
             "after_s": (loss.end_ns - first_ns) / NANOSECONDS,
-            "lost_s": loss.duration_s,
-            "until": f" for {loss.duration_s:.1f} s" if loss.is_over else "",
+            "lost_s": loss.s,
+            "until": f" for {loss.s:.1f} s" if loss.is_over else "",
             "number": f" (longest of {len(some)} times)" if len(some) > 1 else "",
-            "true_m": loss.true_m,
-            "true_deg": loss.true_deg,
+            "true_m": loss.m,
+            "true_deg": loss.deg,
             "moved_m": loss.moved_m,
         }
         of_start = begins_at_start(loss, pairs) and (loss.is_over or kind == DIVERGED)

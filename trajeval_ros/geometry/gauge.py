@@ -159,17 +159,17 @@ class Gauge(Enum):
 
     @property
     def description(self) -> str:
-        """The group in words, for messages and tables."""
+        """What an alignment fits, for messages and tables."""
         return _DESCRIPTIONS[self]
 
 
 _DESCRIPTIONS = {
     Gauge.NONE: "no alignment, same frame",
-    Gauge.TRANSLATION: "translation only",
-    Gauge.YAW: "yaw and translation, 4-DoF",
-    Gauge.PLANAR: "SE(2) in the groundtruth's horizontal plane, 2-D errors",
-    Gauge.SE3: "SE(3), rigid body",
-    Gauge.SIM3: "Sim(3), similarity with scale",
+    Gauge.TRANSLATION: "position",
+    Gauge.YAW: "yaw and position (4-DoF)",
+    Gauge.PLANAR: "heading and position in the horizontal plane (SE(2))",
+    Gauge.SE3: "rotation and position (SE(3))",
+    Gauge.SIM3: "rotation, position and scale (Sim(3))",
 }
 
 MODALITIES: dict[str, Gauge] = {

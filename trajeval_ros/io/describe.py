@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.diagnosis.input_tests import is_named_groundtruth
+from trajeval_ros.diagnosis.column_tests import is_named_groundtruth
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.fixes import quality_of
@@ -82,22 +82,28 @@ class Description:
 
 
 def describe(
-    source: str, *, advance: Advance | None = None, hints: TextHints = NO_HINTS
+    source: str,
+    *,
+    advance: Advance | None = None,
+    hints: TextHints = NO_HINTS,
+    read: dict[str, Trajectory] | None = None,
 ) -> Description:
     """Return the contents of a SOURCE; for a bag without a topic, of all its topics.
 
     `advance`: progress callback, called with the amount done and the total. `hints`: columns and
-    frame rate of a text file, as the user states them.
+    frame rate of a text file, as the user states them. `read`: receives the trajectories of a bag
+    or file by their SOURCE.
     """
+    read = {} if read is None else read
     parts = parse_source(source)
     if parts.is_bag and not parts.topic:
         try:
-            return _describe_bag(source, parts.path, advance)
+            return _describe_bag(source, parts.path, advance, read)
         except OSError as error:
             raise InputError(f"{parts.path} can't be read: {reason_of(error)}") from error
     if parts.is_log and not parts.topic:
         return _describe_log(source, parts.path)
-    trajectory = read_trajectory(source, advance=advance, hints=hints)
+    read[source] = trajectory = read_trajectory(source, advance=advance, hints=hints)
     return Description(parts.path, (summarize(source, trajectory),))
 
 
@@ -116,8 +122,10 @@ def _describe_log(source: str, path: Path) -> Description:
     return Description(path, tuple(topics), remarks=tuple(log.remarks))
 
 
-def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
-    """Return the contents of all topics of a bag."""
+def _describe_bag(
+    source: str, path: Path, advance: Advance | None, read: dict[str, Trajectory]
+) -> Description:
+    """Return the contents of all topics of a bag, and put its trajectories into `read`."""
     from trajeval_ros.io.bags.bag import Bag
     from trajeval_ros.io.bags.nested_poses import nested_poses
     from trajeval_ros.io.bags.topic_readers import (
@@ -145,7 +153,8 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
             name = f"{source}:{topic.name}"
             if topic in posed:
                 try:
-                    trajectories.append(summarize(name, trajectory_of(bag, posed[topic])))
+                    read[name] = trajectory_of(bag, posed[topic])
+                    trajectories.append(summarize(name, read[name]))
                 except InputError as error:
                     trajectories.append(
                         TrajectorySummary(name, topic.type, topic.count, problem=str(error))

@@ -10,19 +10,25 @@ import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.gauge import MODALITIES
 from trajeval_ros.io.describe import Description, TrajectorySummary, describe
 from trajeval_ros.io.sources import Advance
 
+if TYPE_CHECKING:
+    from trajeval_ros.geometry.trajectory import Trajectory
+
 GROUNDTRUTH = "groundtruth"
+MOST_SOURCES = 20  # in a folder of one run; all of them are read
 # Names of groundtruth in the order of preference: a simulator's or a dataset's, a measured one.
 _PREFERRED = re.compile(r"(?<![a-z])(gt|(ground.?)?truth)(?![a-z])", re.IGNORECASE)
 # Sensors by words in an estimate's topic; the first match applies.
 _WORDS = (
     ("lidar-inertial", r"lio|lvi|fast_?lio"),
-    ("lidar", r"loam|kiss|lidar|icp|ndt|hdl|cartographer"),
+    ("lidar", r"loam|kiss|lidar|g?icp|ndt|hdl|cartographer"),
     ("stereo-inertial", r"vio|vins|openvins|ov_msckf|msckf|rovio|okvis|basalt|kimera"),
     ("rgbd", r"rtabmap|rgbd"),
     ("wheel", r"wheels?|diff_?drive|velocity_controller|ackermann|encoders?"),
@@ -111,14 +117,31 @@ def likely_evaluations(
     ]
 
 
-def describe_all(path: Path, advance: Advance | None = None) -> Description:
-    """Return the contents of a bag, or of all files in a folder."""
+def describe_all(
+    path: Path, read: dict[str, Trajectory], advance: Advance = lambda done, total: None
+) -> Description:
+    """Return the contents of a bag, or of all files in a folder.
+
+    `read` receives the trajectories by their SOURCE.
+
+    Raises:
+        InputError: The folder has more sources than a run has.
+    """
     from trajeval_ros.io.bags.bag_folder import holds_bag
     from trajeval_ros.io.find_sources import find_sources
 
     if not path.is_dir() or holds_bag(path):
-        return describe(str(path), advance=advance)
-    parts = [describe(str(source.path)) for source in find_sources(path).sources]
+        return describe(str(path), advance=advance, read=read)
+    sources = find_sources(path).sources
+    if len(sources) > MOST_SOURCES:
+        raise InputError(
+            f"{path} has {counted(len(sources), 'source')}, more than the {MOST_SOURCES} of one "
+            f"run; compare many runs: trajeval compare {shlex.quote(str(path))}"
+        )
+    parts = []
+    for place, source in enumerate(sources):
+        advance(place, len(sources))
+        parts.append(describe(str(source.path), read=read))
     return Description(
         path,
         tuple(summary for part in parts for summary in part.trajectories),

@@ -26,7 +26,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter, completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
-from trajeval_ros.metrics.lost_tracking import frozen_ns
+from trajeval_ros.metrics.discontinuities.lost_tracking import losses_of
 from trajeval_ros.metrics.nearest_association import nearest_pairs
 from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
 from trajeval_ros.metrics.other_programs import match_frames
@@ -199,6 +199,10 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     # Without timestamps in the estimate, a pair has the groundtruth's.
     stamps = paired.stamps if by_row and groundtruth.reading.stamped else pairs.stamps
     paired = dataclasses.replace(paired, stamps=stamps)
+    frozen_ns = 0
+    if not (by_row or completed):
+        losses = losses_of(paired, pairs, diverging=False, max_gap_s=rule.max_gap_s)
+        frozen_ns = losses.frozen_ns
     # Coverage counts a groundtruth state once, also if several pairs share it.
     once = (
         paired
@@ -216,7 +220,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
             once,
             rule.max_gap_s,
             in_gaps=rule.method == "continuous",
-            frozen_ns=0 if by_row else frozen_ns(paired, pairs, rule.max_gap_s),
+            frozen_ns=frozen_ns,
         ),
         dropped=add_counts(estimate.reading.dropped, dropped),
         continuous=continuous,

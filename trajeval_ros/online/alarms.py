@@ -15,7 +15,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.tracking_loss import FROZEN
+from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.online.reports import Snapshot, Update
 
 
@@ -137,27 +137,30 @@ def alarm_below(name: str, value: float, limits: AlarmLimits, text: str) -> list
     return []
 
 
+_ERROR_S = 3.0  # an estimate that is lost for this time is an error
+
+
 def about_loss(snapshot: Snapshot) -> list[Remark]:
     """Return the remark about a frozen or diverging estimate, if it is lost."""
     loss, ate_m = snapshot.loss, snapshot.ate_before_loss_m
     if loss is None:
         return []
-    at = f"{loss.begin_ns / NANOSECONDS:.3f} s"
-    if loss.cause == FROZEN:
+    at = f"{loss.t_ns / NANOSECONDS:.3f} s"
+    if loss.kind == FROZEN:
         text = f"the estimate repeats its pose since {at}, while the groundtruth moves"
     else:
         text = f"the estimate diverges from the groundtruth since {at}"
     values: dict[str, float | int | str] = {
-        "stamp_ns": loss.begin_ns,
-        "duration_s": loss.duration_s,
-        "true_m": loss.true_m,
+        "stamp_ns": loss.t_ns,
+        "duration_s": loss.s,
+        "true_m": loss.m,
         "moved_m": loss.moved_m,
     }
     if ate_m is not None:
         text += f"; the ATE until then is {with_unit(ate_m, 'm')}"
         values["ate_before_m"] = ate_m
-    level = Level.ERROR if loss.is_error else Level.WARNING
-    return [Remark(level, loss.cause, text, values=values)]
+    level = Level.ERROR if loss.s >= _ERROR_S else Level.WARNING
+    return [Remark(level, loss.kind, text, values=values)]
 
 
 _SHOWN_S = 10.0  # a text stays this long before its numbers change, so that it can be read

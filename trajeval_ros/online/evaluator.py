@@ -15,7 +15,7 @@ from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association, AssociationRule
 from trajeval_ros.metrics.coverage import Coverage
-from trajeval_ros.metrics.lost_tracking import LostTracking
+from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.relative_errors import RelativeErrors
@@ -50,7 +50,7 @@ class OnlineEvaluator:
         buffer: The pairing of the states.
         frames: Up axes of both frames, and conversions.
         store: The pairs of the window, and those that relative errors still need.
-        tracking: Losses of tracking: frozen and diverging estimates.
+        losses: TrackingLosses of tracking: frozen and diverging estimates.
         up_axis_doubt: Why the groundtruth's up axis is doubtful; set by the caller, who has the
             path of the whole run. Empty if it is not.
 
@@ -172,7 +172,7 @@ class OnlineEvaluator:
             ate = window_statistics(pairs, found, doubts)
         if doubts.about(RelativeErrors, "position_m"):
             relative = {}
-        loss = self.tracking.present
+        loss = self.losses.present
         consistency, why_not = judge_window(pairs, protocol, request.once_turned)
         return Snapshot(
             pairs=self._count,
@@ -286,8 +286,8 @@ class OnlineEvaluator:
         if not len(self.store):
             return
         if len(groundtruth.stamps):
-            self.tracking.add(groundtruth.stamps, groundtruth.poses, estimate.poses)
-            if self.tracking.is_clear:
+            self.losses.add(groundtruth.stamps, groundtruth.poses, estimate.poses)
+            if self.losses.is_clear:
                 self._ate_before_m = self._aligning.rmse(self._aligning.whole)
         self._ended += self._ends(at_end=at_end)
         window_begin = self.store.window_begin(self.settings.window)
@@ -315,9 +315,12 @@ class OnlineEvaluator:
 
     def _pair_by(self, buffer: Pairing) -> None:
         self.buffer = buffer
-        self.tracking = LostTracking(of_fixes=buffer.at_groundtruth)
-        of_kind = LiveCompleteness if buffer.at_groundtruth else LiveCoverage
-        self._coverage: LiveCompleteness | LiveCoverage = of_kind(buffer)
+        self.losses = TrackingLosses(of_fixes=buffer.at_groundtruth, max_gap_s=buffer.max_gap_s)
+        self._coverage: LiveCompleteness | LiveCoverage = (
+            LiveCompleteness(buffer)
+            if buffer.at_groundtruth
+            else LiveCoverage(buffer, self.losses)
+        )
 
     def _add_covariances(self, estimate: Trajectory) -> None:
         """Test covariances of inertial estimators, in a frame with z up."""

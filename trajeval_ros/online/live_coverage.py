@@ -14,7 +14,7 @@ from trajeval_ros.metrics.coverage import (
     StepMeter,
     waypoints,
 )
-from trajeval_ros.metrics.repeated_poses import RepeatedPoses
+from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
 from trajeval_ros.online.pairing import Pairing
 
 
@@ -24,21 +24,19 @@ class LiveCoverage:
     Pairs and groundtruth states that arrive after newer ones were measured are left out.
     """
 
-    def __init__(self, buffer: Pairing) -> None:
-        """Create it without pairs."""
-        self._buffer = buffer
+    def __init__(self, buffer: Pairing, losses: TrackingLosses) -> None:
+        """Create it without pairs; `losses` are those in the measured pairs."""
+        self._buffer, self._losses = buffer, losses
         self._max_gap_ns = round(buffer.max_gap_s * NANOSECONDS)
         self._meter = StepMeter(self._max_gap_ns)
         self._sums = CoverageSums(buffer.max_gap_s)
-        self._repeats = RepeatedPoses(max_gap_s=buffer.max_gap_s)
         self._newest: Stamps = np.empty(0, dtype=np.int64)  # examined groundtruth state, if any
         self._has_pairs = False
 
     def measure(self, groundtruth: StampedPoses, estimate: StampedPoses) -> None:
         """Take the poses of N new pairs, in order, and the groundtruth between them."""
-        if len(groundtruth.stamps):
-            self._has_pairs = True
-            self._repeats.add(groundtruth.stamps, groundtruth.poses, estimate.poses)
+        del estimate
+        self._has_pairs |= len(groundtruth.stamps) > 0
         passed = self._pass_by(groundtruth.stamps)
         self._sums.add(self._meter.measure(passed, groundtruth))
 
@@ -66,7 +64,7 @@ class LiveCoverage:
         if not self._has_pairs:
             return None
         return self._sums.coverage(
-            self._buffer.groundtruth_time, self._buffer.groundtruth_count, self._repeats.time_ns
+            self._buffer.groundtruth_time, self._buffer.groundtruth_count, self._losses.frozen_ns
         )
 
 

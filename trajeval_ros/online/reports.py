@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
+from trajeval_ros.metrics.discontinuities.events import Loss
 from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.live_relative_errors import RelativeEnd, RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
 

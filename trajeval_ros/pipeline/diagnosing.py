@@ -25,7 +25,7 @@ from trajeval_ros.pipeline.request import Request
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Calibrated
     from trajeval_ros.metrics.association import Association
-    from trajeval_ros.metrics.tracking_loss import Loss
+    from trajeval_ros.metrics.discontinuities.events import Loss
 
 # Corrections that change the pairs.
 _TEMPORAL = {"time_offset", "estimate.clock_rate", "end", "max_gap"}

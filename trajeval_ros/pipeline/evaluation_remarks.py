@@ -18,10 +18,10 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
+from trajeval_ros.metrics.discontinuities.events import DIVERGED
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.metrics.statistics import median
-from trajeval_ros.metrics.tracking_loss import DIVERGED
 from trajeval_ros.pipeline.input_remarks import about_coverage, about_inputs, about_rows
 
 if TYPE_CHECKING:

@@ -64,25 +64,27 @@ RELATIVE_LABELS = {
 }
 
 
-def alignment_of(evaluations: Sequence[Evaluation]) -> str:
-    """Return the gauge of the alignment and the states that it uses."""
-    protocol = evaluations[0].protocol
+def alignment_of(evaluations: Sequence[Evaluation], *, brief: bool = False) -> str:
+    """Return what the alignment fits to which pairs; `brief`: for the result lines."""
+    protocol, first = evaluations[0].protocol, evaluations[0].alignment
     if protocol.gauge is Gauge.NONE:
-        return protocol.gauge.description
+        return "not aligned" if brief else protocol.gauge.description
+    text = f"aligned by {protocol.gauge.description}"
+    if protocol.gauge.has_scale and len(evaluations) == 1:
+        text += f", scale {first.similarity.scale:.4f}"
     used = {evaluation.alignment.states_used for evaluation in evaluations}
-    if protocol.align_states == 1:
-        states = "the first pair"
-    elif protocol.align_states is not None:
-        states = f"the first {counted(protocol.align_states, 'pair')}"
-    elif len(used) == 1:
-        states = f"all {counted(used.pop(), 'pair')}"
-    else:
-        states = "all pairs"
-    weighted = ", weighted" if protocol.align_weights != "none" else ""
-    if protocol.apply == "scale":
-        states += ", only its scale applied"
+    number = used.pop() if len(used) == 1 else protocol.align_states
+    count = "pairs" if number is None else counted(number, "pair")
+    pairs = f"all {count}"
+    if protocol.align_states is not None:
+        pairs = "the first pair" if number == 1 else f"the first {count}"
+    if brief:
+        return text if protocol.align_states is None else f"{text}, {pairs}"
+    sensors = f" for {protocol.modality}" if protocol.modality else ""
+    only = ", only its scale applied" if protocol.apply == "scale" else ""
     poses = " with orientations" if protocol.align_with == "poses" else ""
-    return f"aligned by {protocol.gauge.description}, {states}{poses}{weighted}"
+    weights = WEIGHT_TEXTS[protocol.align_weights]
+    return f"{text}, gauge {protocol.gauge.value}{sensors}, {pairs}{only}{poses}{weights}"
 
 
 def absolute_form_of(evaluations: Sequence[Evaluation]) -> str:
@@ -98,7 +100,7 @@ def first_state_alignment_of(evaluations: Sequence[Evaluation]) -> str:
     if protocol.re_form == "fitted":
         return "aligned by yaw and position over all states of a sub-trajectory"
     by_gauge = protocol.re_form in ("gauge", "tutorial")
-    what = "yaw and translation" if by_gauge and protocol.gauge is Gauge.YAW else "SE(3)"
+    what = "yaw and position" if by_gauge and protocol.gauge is Gauge.YAW else "SE(3)"
     if by_gauge and protocol.gauge is Gauge.PLANAR:
         what = "SE(2), 2-D errors"
     if protocol.gauge is Gauge.SIM3:

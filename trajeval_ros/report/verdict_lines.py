@@ -20,14 +20,14 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.geometry.valid_poses import reasons
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN
 from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN
 from trajeval_ros.pipeline.input_remarks import completeness_in_words
 from trajeval_ros.report.definitions import (
     METHOD_TEXTS,
     RE_FORM_TEXTS,
-    WEIGHT_TEXTS,
+    alignment_of,
     first_state_alignment_of,
 )
 
@@ -43,13 +43,6 @@ if TYPE_CHECKING:
     from trajeval_ros.pipeline.outcome import RunOutcome
 
 
-_FITTED = {
-    Gauge.TRANSLATION: "position",
-    Gauge.YAW: "yaw and position",
-    Gauge.PLANAR: "heading and position on a plane",
-    Gauge.SE3: "rotation and position",
-    Gauge.SIM3: "rotation, position and scale",
-}
 _MOSTLY = 1.0 / 3.0  # of the rotation ATE: a standard deviation that explains it
 _STATED = ("few_pairs", "identical")  # causes that the line or the numbers state already
 _LOST = {FROZEN: "froze", DIVERGED: "diverged"}  # errors of the estimator
@@ -95,7 +88,7 @@ def verdict(
             else []
         ),
         f"  {_worst(evaluation)}",
-        f"  {_aligned(evaluation)}; {_share(evaluation)}",
+        f"  {alignment_of([evaluation], brief=True)}; {_share(evaluation)}",
         *([_split(evaluation.parts)] if split else []),
         *_score(evaluation),
     ]
@@ -103,20 +96,10 @@ def verdict(
 
 def definitions(evaluation: Evaluation) -> list[str]:
     """Return the lines below the tables: alignment, association, pairs and axes in full."""
-    protocol, pairs = evaluation.protocol, evaluation.association
-    states = evaluation.alignment.states_used
-    how = "first state" if states == 1 else f"first {states} states"
-    if protocol.align_states is None:
-        how = f"all {states} states"
-    modality = f" for {protocol.modality}" if protocol.modality else ""
-    poses = " with orientations" if protocol.align_with == "poses" else ""
-    weights = WEIGHT_TEXTS[protocol.align_weights]
-    if protocol.apply == "scale":
-        how += ", only its scale applied"
+    pairs = evaluation.association
     return [
-        f"{evaluation.estimate.name or 'estimate'}: aligned by {protocol.gauge.value} "
-        f"({protocol.gauge.description}){modality}, {how}{poses}{weights}{_spread(evaluation)}; "
-        f"{METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
+        f"{evaluation.estimate.name or 'estimate'}: {alignment_of([evaluation])}"
+        f"{_spread(evaluation)}; {METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
         *_covered(evaluation),
         *(
             [f"  relative errors: {_relative_form(evaluation)}"]
@@ -161,19 +144,6 @@ def _when(evaluation: Evaluation, row: int) -> str:
         return f"pair {row + 1}"
     since_ns = evaluation.association.groundtruth.stamps[row] - evaluation.groundtruth.stamps.min()
     return f"{since_ns / NANOSECONDS:.1f} s"
-
-
-def _aligned(evaluation: Evaluation) -> str:
-    """Return what the alignment fits, in words."""
-    gauge, states = evaluation.protocol.gauge, evaluation.protocol.align_states
-    if gauge is Gauge.NONE:
-        return "not aligned"
-    text = f"aligned by {_FITTED[gauge]}"
-    if gauge.has_scale:
-        text += f" {evaluation.alignment.similarity.scale:.4f}"
-    if states is not None:
-        text += f" of the first {counted(evaluation.alignment.states_used, 'pair')}"
-    return text
 
 
 def _share(evaluation: Evaluation) -> str:
@@ -281,15 +251,15 @@ def _drift(evaluation: Evaluation) -> str:
 
 
 def own_error_line(own: OwnError) -> str:
-    """Return the line about an estimate's own error, without the noise of fixes."""
+    """Return the line about the noise-corrected ATE, without the noise of fixes."""
     independent = significant(own.effective_fixes, 2)
     worth = f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {independent} independent fixes"
     guess = ", from approximate covariances of the driver" if own.by_guess else ""
     low, high = own.interval_m
     if own.resolved:
         said = (
-            f"  own error {own.ate_m:.3g} m (95 % interval {low:.3g} to {high:.3g} m); {worth} "
-            f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+            f"  noise-corrected ATE {own.ate_m:.3g} m (95 % interval {low:.3g} to {high:.3g} m); "
+            f"{worth} (correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
         )
     else:
         why = (
@@ -298,8 +268,8 @@ def own_error_line(own: OwnError) -> str:
             else "the fixes have too much noise"
         )
         said = (
-            f"  own error below {high:.3g} m (95 %), no lower limit since {why}; {worth} "
-            f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+            f"  noise-corrected ATE below {high:.3g} m (95 %), no lower limit since {why}; "
+            f"{worth} (correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
         )
     return said + guess
 

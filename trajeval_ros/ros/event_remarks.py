@@ -16,13 +16,13 @@ from trajeval_ros.metrics.discontinuities.events import (
     FLIP,
     FLIP_STAYS,
     FREEZES,
+    FROZEN,
     FROZEN_POSITION,
     FROZEN_ROTATION,
     OUTLIER,
     PARTING,
     Event,
 )
-from trajeval_ros.metrics.tracking_loss import FROZEN
 from trajeval_ros.online.reports import Snapshot
 from trajeval_ros.ros.live_estimate import LiveEstimate
 
@@ -68,7 +68,7 @@ def about_frozen(estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Remark]
     A whole pose of the estimate that is repeated is a loss of tracking, with another remark. Of
     a groundtruth whose pose is repeated, the position is reported.
     """
-    is_lost = snapshot.loss is not None and snapshot.loss.cause == FROZEN
+    is_lost = snapshot.loss is not None and snapshot.loss.kind == FROZEN
     frozen = estimate.discontinuities.frozen
     of_position = {event.side for event in frozen if event.kind == FROZEN_POSITION}
     for event in frozen:

@@ -293,7 +293,7 @@ class LiveEstimate:
                 self.revised.record(pairs, self.offset_ns)
         self.examine()
         news, self._news = self._news, []
-        if self.evaluator.tracking.present is None:
+        if self.evaluator.losses.present is None:
             return news
         return [event for event in news if event.side != ESTIMATE]
 
@@ -311,7 +311,7 @@ class LiveEstimate:
             None if self.why_not_revised else self.revised,
             protocol,
             self._body.renamed(groundtruth_body, self.status.child_frame),
-            evaluator.tracking.losses,
+            evaluator.losses.events,
             of_clocks=self.clock.report.offset_s is None,
         )
 

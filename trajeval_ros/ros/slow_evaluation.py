@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from trajeval_ros.diagnosis.causes import DISCONTINUITIES
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.io.requests.request_from import in_names_of_settings
+from trajeval_ros.metrics.discontinuities.events import Loss
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun, association_of, evaluation_of
 from trajeval_ros.pipeline.diagnosing import diagnose

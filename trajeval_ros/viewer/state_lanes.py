@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Booleans, Indices, Stamps
-from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN, Loss
 from trajeval_ros.viewer import colours, entity_data, scene_entities
 from trajeval_ros.viewer.live_path import LiveRecording
 from trajeval_ros.viewer.sdk import sdk
@@ -99,7 +99,7 @@ class LiveLanes:
         if entity not in self._now:
             return
         if loss is not None:
-            self.change(entity, max(loss.begin_ns, self._now[entity][0]), loss.cause)
+            self.change(entity, max(loss.t_ns, self._now[entity][0]), loss.kind)
         elif self._now[entity][1] in (FROZEN, DIVERGED):
             self.change(entity, stamp, TRACKED)
 

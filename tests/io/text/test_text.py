@@ -128,6 +128,28 @@ def test_a_guessed_order_of_the_quaternion_is_said(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("first", "step", "order"),
+    [
+        (1_700_000_000_000_000_000, 50_000_000, "qw qx qy qz"),  # nanoseconds since 1970
+        (6_000_000_000, 50_000_000, "qw qx qy qz"),  # nanoseconds since the start of a clock
+        (1_700_000_000_000_000, 50_000, "qx qy qz qw"),  # microseconds
+        (1_700_000_000, 1, "qx qy qz qw"),  # seconds
+        (0, 1, "qx qy qz qw"),
+    ],
+)
+def test_unit_of_time_decides_the_order_of_eight_columns_with_commas(
+    first: int, step: int, order: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("".join(f"{first + step * row},{row},2,3,0.8,0,0,0.6\n" for row in range(9)))
+    read = read_trajectory(path)
+    assert read.quaternions is not None
+    expected = [0.0, 0.0, 0.6, 0.8] if order.startswith("qw") else [0.8, 0.0, 0.0, 0.6]
+    np.testing.assert_allclose(read.quaternions[0], expected)
+    assert f"assumed {order}" in " ".join(read.reading.said(Level.WARNING))
+
+
 def test_openvins_covariance_is_turned_into_the_world(tmp_path: Path) -> None:
     random = np.random.default_rng(0)
     factor = random.normal(size=(3, 2, 3, 3))

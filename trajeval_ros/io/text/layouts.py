@@ -26,13 +26,12 @@ from trajeval_ros.io.text.names import (
     TEXT,
     Layout,
 )
-from trajeval_ros.io.text.stamps import is_date, is_time_of_day, may_be_time
+from trajeval_ros.io.text.stamps import is_date, is_time_of_day, may_be_time, unit_of
 from trajeval_ros.io.text.states import ORTHONORMAL
 from trajeval_ros.io.text.table import TextTable, number
 from trajeval_ros.metrics.statistics import median
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
-_LEAST_NANOSECONDS = 1e12  # time of a file with commas: larger numbers are nanoseconds
 # Names for the columns of an unknown pose, by the least number of columns.
 _EXAMPLES = (7, "x y z qx qy qz qw"), (6, "x y z roll pitch yaw"), (3, "x y z"), (0, "x y")
 CAMERA = UpAxis("-y", "KITTI's camera axes")
@@ -239,8 +238,8 @@ def by_rows(table: TextTable) -> Layout:
 
 def _by_unit_of_time(table: TextTable) -> Layout:
     """Return the layout of eight columns with commas: position and time are the same in both."""
-    first = np.abs(table.values[:, 0])
-    is_euroc = bool(np.nanmedian(first) > _LEAST_NANOSECONDS)
+    times = table.values[np.isfinite(table.values[:, 0]), 0]
+    is_euroc = unit_of(times, bool((times == np.round(times)).all())) == 1  # nanoseconds
     order, system = ("qw qx qy qz", "EuRoC") if is_euroc else ("qx qy qz qw", "TUM")
     layout = _EUROC_POSES if is_euroc else _TUM_COMMAS
     doubt = f"no header with the order of the quaternion: assumed {order}, as in {system}"

@@ -34,16 +34,19 @@ def read_samples(path: Path, columns: str) -> tuple[Stamps, Floats]:
     try:
         table = sniff(path, names)
         if table.columns != len(names):
-            raise InputError(f"{path} has {table.columns} columns; use the columns {columns}")
+            raise InputError(f"{path} has {table.columns} columns")
         rows = read_rows(table, layout)
         times = times_of(path, layout, rows, None, None)
+        values = rows.groups["extra"]
+        usable: Any = np.isfinite(values).all(axis=1) & (
+            True if times.kept is None else times.kept
+        )
+        if len(usable) < 2:
+            raise InputError("empty")
+        if not usable.all():
+            raise InputError(f"row {int(np.argmin(usable)) + 1} is not finite")
     except InputError as error:
         message = str(error).replace(" as given with {option}", "").replace("{option}", "columns")
         message = message if str(path) in message else f"{path}: {message}"
         raise InputError(f"{message}; use the columns {columns}") from None
-    values = rows.groups["extra"]
-    usable: Any = np.isfinite(values).all(axis=1) & (True if times.kept is None else times.kept)
-    if len(usable) < 2 or not usable.all():
-        where = f"row {int(np.argmin(usable)) + 1} is not finite" if len(usable) > 1 else "empty"
-        raise InputError(f"{path}: {where}; use the columns {columns}")
     return times.stamps, values

@@ -257,7 +257,7 @@ def _by_chunks(
     with contextlib.closing(lines):
         while not parts or len(parts[-1]) == _ROWS:
             parts.append(_load(lines, table, dtype, separator, max_rows=_ROWS))
-            require_rows(table.path, _ROWS * len(parts))
+            require_rows(table.path, _ROWS * (len(parts) - 1) + len(parts[-1]))
     return parts
 
 

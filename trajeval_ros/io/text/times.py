@@ -299,7 +299,7 @@ def nanosecond_parts(path: Path, column: Floats) -> Stamps:
     return column.astype(np.int64)
 
 
-def receptions_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes | None:
+def receptions_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes:
     """Return the times in the column `received`, exact to the nanosecond.
 
     `stamps`: (N,), nanoseconds. `column`: (N,), words or float64, in a unit of timestamps: the one

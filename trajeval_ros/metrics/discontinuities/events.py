@@ -11,6 +11,7 @@ SIDES = GROUNDTRUTH, ESTIMATE
 OUTLIER, FLIP, STEP, RESTART, CORRECTION = "outlier", "flip", "step", "restart", "correction"
 FLIP_STAYS, FROZEN_POSITION, FROZEN_ROTATION = "flip_stays", "frozen_position", "frozen_rotation"
 CLOCK_STEP, LOST, GAP = "clock_step", "lost", "gap"  # gaps are events of one stream alone
+FROZEN, DIVERGED = "frozen", "diverged"  # of the whole pose: the estimate is lost
 # Kinds that end a part of the estimate that one alignment fits.
 PARTING = STEP, RESTART
 DECLARED = "declared"  # certainty of a reset that the estimator states itself
@@ -49,3 +50,15 @@ class Event:
     def is_large(self) -> bool:
         """Whether it is beyond all usual differences."""
         return self.ratio >= _LARGE
+
+
+@dataclass
+class Loss(Event):
+    """A time in which the whole pose did not follow the other side; it is extended while it lasts.
+
+    `m` and `deg` are the largest motion of the other side since the begin of a frozen pose; of a
+    divergence, `m` is the path of the other side.
+    """
+
+    moved_m: float = 0.0  # path of a diverging estimate, in the groundtruth's unit
+    is_over: bool = False  # whether it has followed again

@@ -22,7 +22,7 @@ _BEFORE, _AFTER = 30, 3
 class Repeats:
     """An interval in which a part of the pose is repeated exactly."""
 
-    part: str  # `position` or `rotation`
+    part: str  # `position`, `rotation` or `pose`
     begin_s: float
     end_s: float
     is_over: bool = False
@@ -44,14 +44,24 @@ class SidePoses:
     """The poses of one side, without repeated ones, so that a frozen pose is a gap."""
 
     def __init__(
-        self, *, oriented: bool, frozen_s: float = FROZEN_S, keeps_parts: bool = False
+        self,
+        *,
+        oriented: bool,
+        frozen_s: float = FROZEN_S,
+        keeps_parts: bool = False,
+        of_pose: bool = False,
     ) -> None:
-        """Create it empty; if it `keeps_parts`, poses of which one part is repeated are stored."""
+        """Create it empty.
+
+        If it `keeps_parts`, poses of which one part is repeated are stored. `of_pose`: only
+        whole poses are repeats, and all are stored.
+        """
         self.clock = StampSteps()
         self.repeats: list[Repeats] = []  # of at least `frozen_s`, or not over
         self._frozen_s = frozen_s
         self.newest_s = -math.inf  # repeated poses included
         self._oriented, self._keeps_parts = oriented, keeps_parts
+        self._of_pose = of_pose
         self._has_rotated = False
         self.first: Floats = np.zeros(7)  # the first pose
         self._last: Floats | None = None  # the newest pose, also if it is repeated
@@ -110,13 +120,16 @@ class SidePoses:
         stands = np.logical_and.reduce(is_same[:, 3:], axis=1)
         # A sensor without orientation may write the identity.
         rotated = np.logical_or.accumulate(~stands) | self._has_rotated
-        stands &= rotated
         self._has_rotated = bool(rotated[-1])
-        self._repeat("position", self.newest_s, stamps, held)
-        self._repeat("rotation", self.newest_s, stamps, stands)
+        if self._of_pose:
+            self._repeat("pose", self.newest_s, stamps, held & stands)
+        else:
+            stands &= rotated
+            self._repeat("position", self.newest_s, stamps, held)
+            self._repeat("rotation", self.newest_s, stamps, stands)
         self.newest_s, self._last = float(stamps[-1]), rows[-1]
         moved = ~(held & (stands | ~rotated) if self._keeps_parts else held | stands)
-        if not moved.all():
+        if not (self._of_pose or moved.all()):
             stamps, rows = stamps[moved], rows[moved]
         self._append(stamps, rows)
 

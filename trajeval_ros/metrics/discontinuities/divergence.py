@@ -1,0 +1,240 @@
+"""Diverging estimates: displacements that differ from the groundtruth's by more than usual.
+
+Jumps, other frames, axes and units, and drift are no divergence.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, Loss
+
+_SAME = 1e-9  # in the estimate's unit: a repeated position
+# Displacements are compared over this time: shorter ones are noise, longer ones delay an alarm.
+_STEP_NS = NANOSECONDS // 2
+_LONGEST_S = 3.0  # across a longer gap, displacements are not compared
+_CHUNK = 8  # displacements that are learned together, one such time later: a divergence is not
+_MEMORY_S = 30.0  # of the rotation and scale between the frames
+_LEAST_M, _LEAST_STEPS = 2.0, 16  # path and number of displacements that determine them
+_OUTLIER = 4.0  # multiple of a usual difference from which on a displacement is not fitted
+_UNLIKE = 0.1  # largest share of squared lengths that do not correlate, before a divergence
+# Differences are learned as ratios to the distance, to which the noise of positions adds.
+_MOVES_MPS, _NOISE_MPS = 0.1, 0.3
+_KEPT, _LEAST_KEPT = 240, 16  # ratios
+_TIMES_USUAL = 2.5  # multiple of the 95th percentile that is not usual
+_DRIFT = 0.06, 0.3  # bounds of a ratio that is not usual
+# Sum of the excesses, in limits: of displacements, and of their lengths.
+_MOST_EXCESS, _LEAST_SUMS, _MOST_SUM = 1.0, (3.0, 2.0), 12.0
+# Scale of an estimate that never agreed, now and relative to its first value.
+_RUNAWAY, _RUNAWAY_SINCE = 0.1, 1.0 / 3.0
+_AGREES_AGAIN, _AGREES_M = 6, 0.5  # displacements that end a divergence, and their path
+
+# Steps are columns (15, n): time in seconds; displacements of groundtruth and of estimate, in
+# their frames and in their bodies, and their lengths.
+_TIME_S, _TRUE, _TRUE_IN_BODY, _TRUE_M = 0, slice(1, 4), slice(4, 7), 7
+_OWN, _OWN_IN_BODY, _OWN_M, _WIDTH = slice(8, 11), slice(11, 14), 14, 15
+_POSITIONS = [0, 1, 2, 7, 8, 9]  # columns of two poses
+
+
+class Divergence:
+    """Accumulates differences of displacements beyond the usual ones: a CUSUM test of two series.
+
+    Displacements of the estimate are rotated and scaled to those of the groundtruth by the fit of
+    the last ones. Their lengths are compared, too, because after a restart in another frame only
+    these agree. An estimate diverges if both sums exceed their limits.
+    """
+
+    def __init__(self) -> None:
+        self.events: list[Loss] = []
+        self._first: int | None = None  # stamp
+        self._cell = 0  # of the newest used pair
+        # The newest used pair, if any: stamp (1,), poses of groundtruth and estimate (1, 14).
+        self._newest: tuple[Stamps, Floats] = (np.empty(0, dtype=np.int64), np.empty((0, 14)))
+        self._chunk: Floats = np.empty((_WIDTH, 0))
+        self._waiting: Floats = np.empty((_WIDTH, 0))  # the chunk before, not yet learned
+        # Of learned steps, with fading memory: path, time, squares and product of the lengths.
+        self._sums: Floats = np.zeros(5)
+        self._products: Floats = np.zeros((2, 3, 3))
+        self._learned = 0
+        self._ratios: list[float] = []
+        self._rotations: Floats | None = None  # (2, 3, 3), of frames and bodies
+        self._scale = self._first_scale = 0.0  # metres per unit of the estimate
+        self._limit = _DRIFT[1]
+        self._agreed = self._runs_away = False
+        self._sum = self._of_body = 0.0
+        self._before = 0.0
+        self._begin_ns, self._since_m, self._moved_m = 0, 0.0, 0.0
+        self._agreeing, self._agreeing_m = 0, 0.0
+        self._ran_away = False
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the sum of differences is zero."""
+        return self._sum == 0.0 and not self._is_lost
+
+    @property
+    def _is_lost(self) -> bool:
+        return bool(self.events) and not self.events[-1].is_over
+
+    def add(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> None:
+        """Take N pairs in order: stamps (N,), ns, and poses (N, 7), NaN if unknown."""
+        if not len(stamps):
+            return
+        if self._first is None:
+            self._first, self._cell = int(stamps[0]), -1
+        cells = (stamps - self._first) // _STEP_NS
+        rows = np.flatnonzero(np.diff(cells, prepend=self._cell) > 0)
+        self._cell = int(cells[-1])
+        if not len(rows):
+            return
+        stamps = np.append(self._newest[0], stamps[rows])
+        pairs = np.vstack([self._newest[1], np.hstack([groundtruth[rows], estimate[rows]])])
+        # A repeated position of one side is no motion, also if the other side moves.
+        moved = np.abs(np.diff(pairs[:, _POSITIONS], axis=0)) > _SAME
+        kept = np.append(True, moved[:, :3].any(axis=1) & moved[:, 3:].any(axis=1))
+        stamps, pairs = stamps[kept], pairs[kept]
+        self._newest = stamps[-1:], pairs[-1:]
+        columns = [np.diff(stamps)[None] / NANOSECONDS]
+        for side in (pairs[:, :7], pairs[:, 7:]):
+            steps = np.diff(side[:, :3], axis=0)
+            inside = lie.rotate(lie.conjugate(side[:-1, 3:]), steps)
+            columns += [steps.T, inside.T, _lengths(steps.T)[None]]
+        steps, spans = np.vstack(columns), np.stack([stamps[:-1], stamps[1:]])
+        used = steps[_TIME_S] <= _LONGEST_S
+        spans, steps = spans[:, used], steps[:, used]
+        while steps.size:
+            taken = _CHUNK - self._chunk.shape[1]
+            self._take(spans[:, :taken], steps[:, :taken])
+            spans, steps = spans[:, taken:], steps[:, taken:]
+
+    def _take(self, spans: Stamps, steps: Floats) -> None:
+        """Take n steps with stamps (2, n) of one chunk."""
+        if self._rotations is not None:
+            excess, of_body = (ratio / self._limit - 1.0 for ratio in self._ratios_of(steps))
+            if self._sum or self._is_lost or self._runs_away or (excess > 0.0).any():
+                scale = self._scale if self._agreed else self._first_scale
+                columns = (
+                    spans[0],
+                    spans[1],
+                    steps[_TRUE_M],
+                    scale * steps[_OWN_M],
+                    excess,
+                    of_body,
+                )
+                for row in zip(*(column.tolist() for column in columns), strict=True):
+                    self._follow(*row)
+        self._chunk = np.hstack([self._chunk, steps])
+        if self._chunk.shape[1] == _CHUNK:
+            if self._is_lost:
+                self._chunk = self._chunk[:, :0]
+            if self._waiting.size:
+                self._learn(self._waiting)
+            self._waiting, self._chunk = self._chunk, np.empty((_WIDTH, 0))
+
+    def _follow(
+        self,
+        begin_ns: int,
+        end_ns: int,
+        true_m: float,
+        moved_m: float,
+        excess: float,
+        of_body: float,
+    ) -> None:
+        """Accumulate one step; begin, extend or end an event."""
+        if self._sum == 0.0 and not self._is_lost:
+            if excess <= 0.0 and not self._runs_away:
+                return
+            self._begin_ns, self._since_m, self._moved_m = begin_ns, 0.0, 0.0
+            self._of_body = self._before = 0.0
+        self._since_m += true_m
+        self._moved_m += moved_m
+        self._sum = _accumulated(self._sum, excess)
+        # The smaller of two in a row, since a jump is in one.
+        self._of_body = _accumulated(self._of_body, min(of_body, self._before))
+        self._before = of_body
+        if not self._is_lost:
+            if self._agreed:
+                if self._sum < _LEAST_SUMS[0] or self._of_body < _LEAST_SUMS[1]:
+                    return
+            elif self._runs_away:
+                self._begin_ns, self._ran_away = self._first or 0, True
+            else:
+                return
+            self._agreeing, self._agreeing_m = 0, 0.0
+            event = Loss(DIVERGED, ESTIMATE, self._begin_ns, end_ns, certainty="sure")
+            self.events.append(event)
+        agrees = min(excess, of_body) <= 0.0
+        self._agreeing = self._agreeing + 1 if agrees else 0
+        self._agreeing_m = self._agreeing_m + true_m if agrees else 0.0
+        event = self.events[-1]
+        event.end_ns, event.m, event.moved_m = end_ns, self._since_m, self._moved_m
+        event.s = (end_ns - event.t_ns) / NANOSECONDS
+        is_over = self._agreeing >= _AGREES_AGAIN and self._agreeing_m >= _AGREES_M
+        if is_over and not self._ran_away:  # any motion agrees with a scale that was never right
+            event.is_over, self._sum = True, 0.0
+
+    def _ratios_of(self, steps: Floats) -> tuple[Floats, Floats]:
+        """Return the ratios (n,) of difference and distance, in the frames and in the bodies.
+
+        Without orientations, differences of lengths take the place of those in the bodies.
+        """
+        assert self._rotations is not None
+        frames, bodies = self._scale * self._rotations
+        apart_m = _lengths(frames @ steps[_OWN] - steps[_TRUE])
+        in_body_m = _lengths(bodies @ steps[_OWN_IN_BODY] - steps[_TRUE_IN_BODY])
+        lengths_m = np.abs(self._scale * steps[_OWN_M] - steps[_TRUE_M])
+        unit_m = steps[_TRUE_M] + _NOISE_MPS * steps[_TIME_S]
+        return apart_m / unit_m, np.where(np.isnan(in_body_m), lengths_m, in_body_m) / unit_m
+
+    def _learn(self, steps: Floats) -> None:
+        """Fit rotation and scale to steps (15, n) and those before, and learn the differences."""
+        if self._rotations is not None:
+            ratios = np.minimum(*self._ratios_of(steps))
+            moves = steps[_TRUE_M] > _MOVES_MPS * steps[_TIME_S]
+            self._ratios = [*self._ratios, *ratios[moves].tolist()][-_KEPT:]
+            if len(self._ratios) >= _LEAST_KEPT:
+                tail = sorted(self._ratios)[int(0.95 * len(self._ratios))]
+                self._limit = min(max(_TIMES_USUAL * tail, _DRIFT[0]), _DRIFT[1])
+            if self._agreed:
+                steps = steps[:, ratios <= _OUTLIER * self._limit]
+        time_s, true_m, own_m = steps[[_TIME_S, _TRUE_M, _OWN_M]]
+        # Only motion is forgotten by time: a hover keeps the fit.
+        moving_s = float(time_s[true_m > _MOVES_MPS * time_s].sum())
+        kept = math.exp(-moving_s / _MEMORY_S)
+        added = true_m, time_s, true_m**2, true_m * own_m, own_m**2
+        self._sums = kept * self._sums + np.array([item.sum() for item in added])
+        products = np.empty((2, 3, 3))
+        products[0] = steps[_TRUE] @ steps[_OWN].T
+        products[1] = steps[_TRUE_IN_BODY] @ steps[_OWN_IN_BODY].T
+        if math.isnan(products[1, 0, 0]):  # without orientations
+            products[1] = 0.0
+        self._products = kept * self._products + products
+        self._learned += len(time_s)
+        path_m, _, true_true, true_own, own_own = self._sums.tolist()
+        if own_own == 0.0:
+            return
+        self._scale = true_own / own_own
+        if path_m < _LEAST_M or self._learned < _LEAST_STEPS:
+            return
+        self._first_scale = self._first_scale or self._scale
+        # Whether lengths of displacements correlated before, and whether the estimate moves ever
+        # faster than the groundtruth from the start.
+        self._agreed = true_own**2 > (1.0 - _UNLIKE) * true_true * own_own
+        self._runs_away = self._scale < min(_RUNAWAY, _RUNAWAY_SINCE * self._first_scale)
+        # A reflection is allowed: mirrored axes are no divergence.
+        left, _, right = np.linalg.svd(self._products)
+        self._rotations = left @ right
+
+
+def _lengths(vectors: Floats) -> Floats:
+    """Return the lengths (n,) of vectors (3, n)."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=0)))
+
+
+def _accumulated(total: float, more: float) -> float:
+    return min(max(total + min(more, _MOST_EXCESS), 0.0), _MOST_SUM)
