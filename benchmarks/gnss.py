@@ -1,4 +1,4 @@
-"""Simulates how often the interval of the own error by GNSS fixes covers the true one.
+"""Simulates how often the interval of the noise-corrected ATE by GNSS fixes covers the true one.
 
 A car and a drone, estimates that are good and poor, receivers of two kinds; prints the table of
 docs/gnss.md. Everything goes the way of a user's evaluation, from fixes and an estimate on.
@@ -177,7 +177,8 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=15)
     parser.add_argument("--only", default="", help='part of a row\'s name, such as "car, rtk"')
     given = parser.parse_args()
-    print("| run | true ATE | ATE / true | own error / true | covers | below holds | resolved |")
+    head = ("run", "true ATE", "ATE / true", "noise-corrected ATE / true")
+    print(f"| {' | '.join(head)} | covers | below holds | resolved |")
     print("|---|---|---|---|---|---|---|")
     for grade, claimed, kind, quality in product(RECEIVERS, CLAIMED, DURATION_S, TIMES):
         name = f"{quality} {kind}, {grade}{CLAIMED[claimed]}"

@@ -169,7 +169,7 @@ def test_damaged_results_are_one_sentence(folder: Path, tmp_path: Path) -> None:
     (copy / "errors.npz").unlink()
     with pytest.raises(InputError, match=r"has no errors.npz"):
         FinishedResults([str(copy)])
-    (copy / "result.json").write_text('{"schema": "trajeval/2"}')
+    (copy / "result.json").write_text('{"schema": "trajeval/3"}')
     (copy / "errors.npz").touch()
     with pytest.raises(InputError, match="is damaged"):
         FinishedResults([str(copy)])

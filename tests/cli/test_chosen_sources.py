@@ -60,6 +60,7 @@ CASES = {
     "vins": ([TRUTH, ("/vins_estimator/odometry", ODOM), INERTIAL, LEFT], "stereo-inertial"),
     "rko_lio": ([TRUTH, ("/rko_lio/odom", ODOM), INERTIAL, POINTS], "lidar-inertial"),
     "kiss": ([TRUTH, ("/kiss/odometry", ODOM), POINTS], "lidar"),
+    "small_gicp": ([TRUTH, ("/small_gicp/odometry", ODOM)], "lidar"),
     "rtabmap": ([TRUTH, ("/rtabmap/odom", ODOM), LEFT, DEPTH], "rgbd"),
     "robot_localization": ([TRUTH, ("/odometry/filtered", ODOM), INERTIAL], "wheel"),
     "wheels": ([TRUTH, ("/wheel/odom", ODOM), INERTIAL], "wheel"),

@@ -85,7 +85,7 @@ def test_json_goes_alone_to_standard_output_and_twice_the_same(
     assert main([*pair, "--json", "-"]) == 0
     assert capsys.readouterr().out == first
     result = json.loads(first)
-    assert result["schema"] == "trajeval/2"
+    assert result["schema"] == "trajeval/3"
     assert len(result["runs"]) == 1
     ate = result["runs"][0]["ate"]
     assert list(ate["position_m"]) == [

@@ -88,7 +88,7 @@ def test_files_that_cannot_be_computed_leave_everything_as_it_was(
     folder = tmp_path / "out"
     if exists:
         folder.mkdir()
-        (folder / "result.json").write_text('{"schema": "trajeval/2"}')
+        (folder / "result.json").write_text('{"schema": "trajeval/3"}')
         (folder / "stanford.png").write_text("old")
     before = names(folder) if exists else set()
 

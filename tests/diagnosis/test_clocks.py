@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.diagnosis.clocks import (
     ClockMatch,
     RatesOfMotion,
-    parts_log_odds,
+    offsets_of_parts,
     rates_of_both,
     search_rate,
 )
@@ -99,10 +99,10 @@ def test_a_rate_is_found_between_the_steps_of_the_search(rate: float) -> None:
     """The last steps allow a shift of 0.7 s at the ends."""
     poses = irregular(span_s=300.0)
     estimate = poses[200:5800].shifted(0.0, 1.0 / rate - 1.0)
-    result = search_rate(*rates_of_both(poses, estimate))
-    assert result is not None
-    assert abs(np.log(result[0] / rate)) < 0.7 / (280.0 / rate)
-    assert result[1].peak > 0.9
+    factor, match = search_rate(*rates_of_both(poses, estimate))
+    assert match is not None
+    assert abs(np.log(factor / rate)) < 0.7 / (280.0 / rate)
+    assert match.peak > 0.9
 
 
 def test_parts_of_one_clock_agree_and_those_of_two_rates_do_not() -> None:
@@ -112,6 +112,8 @@ def test_parts_of_one_clock_agree_and_those_of_two_rates_do_not() -> None:
         rates = rates_of_both(poses, poses[200:2200].shifted(0.4, 1e-6 * ppm))
         match = ClockMatch.between(*rates)
         assert match is not None
-        odds.append(parts_log_odds(*rates, match))
+        gain, factor = offsets_of_parts(*rates, match)
+        odds.append(gain)
+        assert factor == pytest.approx(1.0 / (1.0 + 1e-6 * ppm), abs=2e-3)
     assert odds[0] < 0.0
     assert odds[1] > 12.0

@@ -138,7 +138,7 @@ def glided(intervals: list[tuple[int, int, float]], count: int = 200) -> dict[st
 
 @pytest.mark.parametrize(
     ("rows", "bent_m", "is_bridged"),
-    [(7, 0.5, True), (6, 0.5, False), (8, 0.031, True), (8, 0.029, False)],
+    [(7, 0.5, True), (6, 0.5, False), (8, 0.051, True), (8, 0.049, False)],
 )
 def test_a_dropout_was_filled_where_the_estimate_is_off_a_line_for_long(
     rows: int, bent_m: float, is_bridged: bool
@@ -161,19 +161,17 @@ def test_the_filled_dropout_with_the_largest_deviation_is_stated() -> None:
 
 
 @pytest.mark.parametrize(("gap", "is_known"), [(16, True), (17, False)])
-@pytest.mark.parametrize("place", [40, 60, 80])
+@pytest.mark.parametrize("place", [40, 80])
 def test_an_interval_is_judged_only_where_the_estimate_has_poses(
     gap: int, is_known: bool, place: int
 ) -> None:
-    """An interval of 40 steps, and an estimate without poses around its start, middle or end."""
+    """An interval of 40 steps, and an estimate without poses around its start or its end."""
     own = steps_of(200)
     own[40:60], own[60:80] = 0.03, 0.01
     for cause in ("groundtruth_bridged", "groundtruth_frozen"):
         truth = own.copy()
         if cause == "groundtruth_bridged":
             truth[40:80] = 0.02
-        elif place == 60:
-            continue  # the middle is not used
         else:
             held(truth, 40, 80)
         estimate = in_units(track(own))
@@ -312,8 +310,8 @@ def gaps(
         (16, 0.3, False),
         (48, 0.3, True),
         (49, 0.3, False),
-        (40, 0.101, True),
-        (40, 0.099, False),
+        (40, 0.151, True),
+        (40, 0.149, False),
     ],
 )
 def test_a_gap_of_more_than_a_second_up_to_the_limit_is_interpolated(
@@ -367,11 +365,11 @@ def test_a_groundtruth_with_a_low_rate_has_no_gaps(others: int, is_seen: bool) -
     assert bool(found.seen) == is_seen
 
 
-def test_the_twenty_longest_gaps_are_examined() -> None:
+def test_gaps_of_all_lengths_are_examined() -> None:
     places = [(40 * index, 40 * index + 18 + index // 5, 0.2) for index in range(25)]
-    places[2] = (80, 97, 0.9)  # the shortest one
+    places[2] = (80, 97, 0.6)  # the shortest one
     [seen] = gaps(places, 40 * 25).seen
-    inside = sum(end - begin - 1 for begin, end, _ in places[5:])
+    inside = sum(end - begin - 1 for begin, end, _ in places)
     assert seen.values["holes"] == 25.0
-    assert seen.values["bent_m"] == pytest.approx(0.2)
+    assert seen.values["bent_m"] == pytest.approx(0.6)
     assert seen.values["percent"] == pytest.approx(100.0 * inside / 1001)

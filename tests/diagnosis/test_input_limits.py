@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.diagnosis.column_tests import same_positions, standing_still, velocities
 from trajeval_ros.diagnosis.findings import TestResult
 from trajeval_ros.diagnosis.input_pair import TimedPoses
-from trajeval_ros.diagnosis.input_tests import same_positions, standing_still, velocities
 from trajeval_ros.geometry.arrays import Floats
 
 
 def pair_of(groundtruth: TimedPoses, estimate: TimedPoses, *, by_time: bool = True) -> Any:
     return SimpleNamespace(
-        groundtruth_poses=groundtruth,
-        estimate_poses=estimate,
+        poses={"estimate": estimate, "groundtruth": groundtruth},
+        has_enough=min(len(groundtruth), len(estimate)) >= 12,
         in_order=(groundtruth, estimate),
         by_time=by_time,
     )

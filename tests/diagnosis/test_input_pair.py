@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,6 @@ def test_poses_are_sorted_and_the_first_of_equal_times_is_kept() -> None:
     assert found.in_order() is found
     assert found.span_s == 4.0
     assert found.usual_step_s == 1.0
-    assert found.moved.tolist() == pytest.approx((np.sqrt(3.0) * np.array([2, 1, 4])).tolist())
     deviation = np.linalg.norm(np.std(found.positions, axis=0))
     assert found.extent == pytest.approx(deviation)
     nothing = found[:0]
@@ -75,25 +75,20 @@ def pair_of(**rule: Any) -> InputPair:
         )
         for begin in (100, 101)
     ]
-    return InputPair.of(*sides, Protocol(association=AssociationRule(**rule), lengths=()))
+    protocol = Protocol(association=AssociationRule(**rule), lengths=())
+    return InputPair(*sides, protocol, protocol.association.time_offset_s)
 
 
 def test_both_sides_share_an_epoch_and_the_offset_is_the_estimate_s() -> None:
     pair = pair_of(method="linear", max_gap_s=0.7, time_offset_s=0.25)
-    assert pair.groundtruth_poses.seconds.tolist() == np.arange(21.0).tolist()
-    assert pair.estimate_poses.seconds.tolist() == (np.arange(1.0, 21.0) + 0.25).tolist()
-    assert (pair.max_gap_s, pair.time_offset_s, pair.by_time) == (0.7, 0.25, True)
+    assert pair.poses["groundtruth"].seconds.tolist() == np.arange(21.0).tolist()
+    assert pair.poses["estimate"].seconds.tolist() == (np.arange(1.0, 21.0) + 0.25).tolist()
+    assert (pair.max_gap_s, pair.by_time) == (0.7, True)
     nearest = pair_of(method="nearest", max_gap_s=0.7, max_time_difference_s=0.05)
     assert nearest.max_gap_s == 0.1
     assert not pair_of(method="index").by_time
-    again = InputPair.of(
-        pair.groundtruth,
-        pair.estimate,
-        Protocol(association=AssociationRule(time_offset_s=0.25), lengths=()),
-        time_offset_s=0.0,
-    )
-    assert again.estimate_poses.seconds[0] == 1.0
-    assert again.time_offset_s == 0.25
+    applied = dataclasses.replace(pair, offset_s=0.0)
+    assert applied.poses["estimate"].seconds[0] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -113,10 +108,10 @@ def test_frozen_poses_and_what_follows_a_divergence_are_left_out(
     loss = Loss(cause, ESTIMATE, begin, end, m=4.0, moved_m=9.0, is_over=is_over)
     pair = pair_of()
     found = pair.tracked([loss])
-    assert found.estimate_poses.seconds.tolist() == kept
-    assert found.groundtruth_poses.seconds.tolist() == true_kept
+    assert found.poses["estimate"].seconds.tolist() == kept
+    assert found.poses["groundtruth"].seconds.tolist() == true_kept
     assert ((found.estimate.stamps - 100 * SECOND) // SECOND).tolist() == kept
     assert ((found.groundtruth.stamps - 100 * SECOND) // SECOND).tolist() == true_kept
-    assert pair.tracked([]).estimate_poses.seconds.tolist() == [*range(1, 21)]
+    assert pair.tracked([]).poses["estimate"].seconds.tolist() == [*range(1, 21)]
     ordered = found.in_order
     assert [len(item) for item in ordered] == [len(true_kept), len(kept)]

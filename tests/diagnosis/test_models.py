@@ -14,7 +14,7 @@ from paths import SHARED
 from scipy.spatial.transform import Rotation
 
 from benchmarks.diagnosis import found
-from benchmarks.diagnosis_mistakes import inverse, shifted
+from benchmarks.diagnosis_mistakes import MISTAKES, inverse, shifted
 from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros import HandEye, InputError, read_trajectory
@@ -226,6 +226,13 @@ def test_a_rate_is_searched_if_no_offset_is_clear() -> None:
     first = found(USERS["30 fps for 25"].make(pair)).suggested
     assert first is not None
     assert first.cause == "clock_drift"
+
+
+def test_copied_rows_are_no_other_run() -> None:
+    """In the order of time, they look like another rate of the clock."""
+    pair = simulated(91238, "drone", "heavy", 100.0)
+    causes = [finding.cause for finding in found(MISTAKES["duplicated"].make(pair)).findings]
+    assert causes == ["duplicated"]
 
 
 def test_an_offset_whose_correction_increases_the_error_is_no_cause() -> None:

@@ -188,7 +188,7 @@ def test_without_pyarrow_there_is_no_table_and_a_hint(
     said = " ".join(capsys.readouterr().out.split())
     assert f"errors.parquet needs pyarrow, install it: {pyarrow_command()}" in said
     assert not (folder / "errors.parquet").exists()
-    assert json.loads((folder / "result.json").read_text())["schema"] == "trajeval/2"
+    assert json.loads((folder / "result.json").read_text())["schema"] == "trajeval/3"
     with np.load(folder / "errors.npz") as archive:
         assert archive["e.aligned_quaternions"].shape[1] == 4
 

@@ -425,7 +425,7 @@ def test_one_command_on_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     said = capsys.readouterr()
     assert "gauge yaw by default" in said.out
     assert "of 40 fixes (" in said.out
-    assert "own error" in said.out
+    assert "noise-corrected ATE" in said.out
     assert "vertical [m]" in said.out
     assert "lever arm" not in said.err
     assert main(words) == 0

@@ -40,7 +40,7 @@ def test_the_schemas_are_these() -> None:
         results_table.POOLED_SCHEMA,
         records.SCHEMA,
     } == {
-        "trajeval/2",
+        "trajeval/3",
         "trajeval-errors/1",
         "trajeval-error-table/1",
         "trajeval-states/1",

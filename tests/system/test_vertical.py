@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from strategies import all_statistics, along_line, seeds
 from upright_runs import OF_VERTICAL, car, erring, standing
 
+from trajeval_ros import CalibrationRequest
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
@@ -90,6 +91,14 @@ def test_an_estimate_that_turns_about_z_keeps_its_axis() -> None:
     assert "set --up=-y or --up=y;" in up_axis_doubt(truth, positions)
     with pytest.raises(InputError, match="set --up=y,z or"):
         evaluate(truth, car(1), Protocol(gauge="yaw"))
+
+
+def test_a_wrong_up_axis_and_other_times_are_one_sentence() -> None:
+    truth = standing(car(1), "y", said=False)
+    later = dataclasses.replace(car(1), stamps=car(1).stamps + 10**18)
+    request = Request(Protocol(gauge="yaw"), CalibrationRequest(offset=True))
+    with pytest.raises(InputError, match="needs the vertical axis"):
+        run(truth, [later], request)
 
 
 def circling(

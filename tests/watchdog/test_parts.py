@@ -14,18 +14,20 @@ from watched_flights import SECOND, flight
 from benchmarks.watch_faults import FAULTS
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.interpolation import slerp_at
 from trajeval_ros.geometry.lie import running_products
+from trajeval_ros.watchdog.event_signals import EventSignals
 from trajeval_ros.watchdog.inertial_mounting import Mounting
 from trajeval_ros.watchdog.judging import judged
 from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
-from trajeval_ros.watchdog.pose_signals import CorrectionSignals, PoseSignals
+from trajeval_ros.watchdog.pose_signals import CorrectionSignals, SmoothSignal
 from trajeval_ros.watchdog.recording import error_spans, undetected_faults
 from trajeval_ros.watchdog.row_buffer import OrderedFeed, RowBuffer, window_begins
 from trajeval_ros.watchdog.signals import (
     SIGNALS,
     Readings,
+    Signals,
     in_order,
     joined,
     pair_sources,
@@ -37,7 +39,7 @@ from trajeval_ros.watchdog.twist_signals import _lag_of
 from trajeval_ros.watchdog.watch_alarms import AlarmBook
 
 PAGE = Path(__file__).parents[2] / "docs" / "watchdog.md"
-FACTOR = 1.0 / signal_of("jump_m").limit  # its limit is then 1 m
+FACTOR = 1.0 / signal_of("step").limit  # its limit is then 1 m
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -117,7 +119,7 @@ def test_limits_are_those_of_the_table_in_the_documentation() -> None:
     assert {name: (float(limit), unit) for name, limit, unit in rows} == {
         signal.name: (signal.limit, signal.unit) for signal in SIGNALS
     }
-    assert AlarmBook(2.0).limit("jump_m") == pytest.approx(0.24)
+    assert AlarmBook(3.0).limit("step") == pytest.approx(4.5)
     assert AlarmBook().limit("pair_deg_5s.wheel") == 3.0
 
 
@@ -149,12 +151,12 @@ def one_second(**values: float) -> dict[str, Readings]:
 
 def test_alarms_that_a_restart_ends() -> None:
     book = AlarmBook(FACTOR)
-    book.add(one_second(jump_m=1.1))
+    book.add(one_second(step=1.1))
     (before,) = book.standing
     book.end_all()
     assert before.is_over
     assert not book.standing
-    (after,) = book.add({"jump_m": Readings(np.array([0.1]), np.array([1.2]))})
+    (after,) = book.add({"step": Readings(np.array([0.1]), np.array([1.2]))})
     assert book.alarms == [before, after]
     book.forget(1.0)
     assert book.alarms == [before, after]
@@ -164,9 +166,9 @@ def test_alarms_that_a_restart_ends() -> None:
 
 def test_alarms_of_two_sources_at_a_time_are_errors() -> None:
     for names, gap_s, is_error in (
-        (("jump_m", "pair_deg_5s"), 5.0, True),
-        (("jump_m", "pair_deg_5s"), 5.1, False),
-        (("jump_m", "gap"), 1.0, False),  # both of the poses alone
+        (("step", "pair_deg_5s"), 5.0, True),
+        (("step", "pair_deg_5s"), 5.1, False),
+        (("step", "gap"), 1.0, False),  # both of the poses alone
     ):
         book = AlarmBook()
         for place, name in enumerate(names):
@@ -185,7 +187,7 @@ def test_an_alarm_of_five_seconds_or_far_beyond_its_limit_is_an_error() -> None:
         ([0.0], [1.51], True),
     ):
         book = AlarmBook(FACTOR)
-        (alarm,) = book.add({"jump_m": Readings(np.array(seconds), np.array(values))})
+        (alarm,) = book.add({"step": Readings(np.array(seconds), np.array(values))})
         assert book.is_error(alarm) == is_error
         assert alarm.peak == max(values)
 
@@ -231,35 +233,91 @@ def test_remarks_about_an_imu_need_a_difference_that_matters() -> None:
     assert not dataclasses.replace(related, misfit=0.5).is_related
 
 
-def test_signals_of_poses_on_a_straight_line() -> None:
-    times = np.arange(400) * 0.05
-    found = PoseSignals(0.05).add(poses(times, along_x(times)))
-    assert found["jump_m"].seconds[0] == times[2]
-    assert found["jump_m"].values.max() < 1e-12
-    assert found["gap"].values == pytest.approx(np.ones(399))
-    assert found["freeze_hard_s"].values.max() == 0.0
+def test_coasting_is_smoother_than_usual() -> None:
+    """In any portions; a robot at rest is not smooth."""
+    times, generator = np.arange(800) * 0.05, np.random.default_rng(1)
+    positions = along_x(times) + generator.normal(0.0, 2e-3, (800, 3))
+    positions[600:700] = positions[600] + along_x(times[:100])
+    positions[700:] = positions[699]
+    seconds, values = SmoothSignal(0.05).add(poses(times, positions))["smooth"]
+    limit = signal_of("smooth").limit
+    assert values[seconds < 30.5].max() < 3.0
+    assert values[(seconds > 31.1) & (seconds < 34.9)].min() > limit
+    assert values[seconds > 36.1].max() == 0.0
+    whole = SmoothSignal(0.05)
+    parts = [
+        whole.add(poses(times, positions)[rows])["smooth"].values
+        for rows in np.split(np.arange(800), [7, 8, 200, 650])
+    ]
+    np.testing.assert_array_equal(np.concatenate(parts), values)
 
 
-def test_signals_of_a_jump_a_gap_and_a_freeze() -> None:
-    times = np.arange(400) * 0.05
-    positions = along_x(times, 2.0)
-    positions[200:, 1] += 0.5
-    turns = np.tile(UPRIGHT, (400, 1))
-    turns[200:] = lie.from_rotation_vector(np.array([0.0, 0.0, np.radians(3.0)]))
-    found = PoseSignals(0.05).add(poses(times, positions, turns))
-    assert found["jump_m"].values.max() == pytest.approx(0.5)
-    assert found["jump_deg"].values.max() == pytest.approx(3.0)
-    assert found["jump_m"].seconds[found["jump_m"].values.argmax()] in times[200:202]
-    late = times.copy()
-    late[300:] += 0.2
-    gaps = PoseSignals(0.05).add(poses(late, along_x(late)))["gap"]
-    assert (gaps.values.max(), gaps.seconds[gaps.values.argmax()]) == pytest.approx(
-        (5.0, late[300])
-    )
-    stopped = along_x(np.minimum(times, 15.0))
-    frozen = PoseSignals(0.05).add(poses(times, stopped))["freeze_hard_s"]
-    assert frozen.values[-1] == pytest.approx(times[-1] - 15.0)
-    assert frozen.values[frozen.seconds < 15.01].max() == 0.0
+def stop_and_go(resolution_m: float) -> Floats:
+    """Return positions, 50 times a second, of a robot whose encoders have a resolution."""
+    seconds = np.arange(0.0, 300.0, 0.02)
+    speed = np.clip(np.minimum(seconds % 17.0, 12.0 - seconds % 17.0), 0.0, 0.4)
+    path = np.floor(np.cumsum(0.02 * speed) / resolution_m) * resolution_m
+    return np.outer(path, [1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("resolution_m", [0.0005, 0.001, 0.002, 0.004])
+def test_quantised_encoders_in_stop_and_go_do_not_coast(resolution_m: float) -> None:
+    """At 0.4 m/s, every step is the same multiple of the resolution for seconds."""
+    positions = stop_and_go(resolution_m)
+    rows = poses(np.arange(len(positions)) * 0.02, positions)
+    assert SmoothSignal(0.02).add(rows)["smooth"].values.max() < signal_of("smooth").limit
+
+
+def signals_of(events: EventSignals, stamps: Stamps, rows: Floats) -> Signals:
+    events.add(stamps, rows)
+    return events.signals(stamps / SECOND, 0.0)
+
+
+def events_in(positions: Floats, turns: Floats = UPRIGHT) -> dict[str, Readings]:
+    """Return the signals of the events of positions 20 times a second."""
+    times = np.arange(len(positions)) * 0.05
+    stamps = np.rint(times * SECOND).astype(np.int64)
+    quaternions = np.broadcast_to(turns, (len(times), 4))
+    rows = np.hstack([positions, quaternions])
+    whole = signals_of(EventSignals(0), stamps, rows)
+    fed = EventSignals(0)
+    parts = [
+        signals_of(fed, stamps[some], rows[some])
+        for some in np.split(np.arange(len(times)), [3, 301, 302, 450])
+    ]
+    for name, (seconds, values) in joined(parts).items():
+        np.testing.assert_array_equal(seconds, whole[name].seconds)
+        np.testing.assert_allclose(values, whole[name].values, rtol=1e-9, atol=1e-9)
+    return dict(whole)
+
+
+def test_signals_of_events_begin_when_they_are_known() -> None:
+    times, generator = np.arange(600) * 0.05, np.random.default_rng(2)
+    good = along_x(times, 2.0) + generator.normal(0.0, 1e-3, (600, 3))
+    assert events_in(good) == {}
+    jumped = good + np.where(times >= 20.0, 0.5, 0.0)[:, None] * [0.0, 1.0, 0.0]
+    found = events_in(jumped)
+    assert list(found) == ["step"]
+    assert found["step"].seconds[0] == pytest.approx(20.05)  # with the next pose
+    assert found["step"].values[0] > 3.0 * signal_of("step").limit
+    assert not found["step"].values[1:].any()
+    turned = lie.from_rotation_vector(generator.normal(0.0, 1e-3, (600, 3)))
+    turned[400] = lie.multiply(turned[400], np.array([1.0, 0.0, 0.0, 0.0]))
+    assert list(events_in(good, turned)) == ["flip"]
+
+
+def test_a_freeze_lasts_and_a_gap_has_its_periods() -> None:
+    times = np.arange(600) * 0.05
+    found = events_in(along_x(np.minimum(times, 20.0)))
+    assert list(found) == ["frozen_position"]
+    seconds, values = found["frozen_position"]
+    assert seconds[0] == pytest.approx(20.5)
+    np.testing.assert_allclose(values, seconds - 20.0, atol=1e-9)
+    stamps = np.rint((times + np.where(times > 20.0, 0.2, 0.0)) * SECOND).astype(np.int64)
+    rows = np.hstack([along_x(times), np.tile(UPRIGHT, (600, 1))])
+    [(name, gaps)] = signals_of(EventSignals(0), stamps, rows).items()
+    assert name == "gap"
+    assert (gaps.seconds[0], gaps.values[0]) == pytest.approx((20.25, 5.0))
 
 
 def test_map_corrections_move_the_robot_where_it_is() -> None:
@@ -354,26 +412,6 @@ def test_a_lag_of_the_twist_needs_evidence() -> None:
         assert chance <= 0.005
         # At constant speed the lag has no effect.
         assert lag_run(0.06, np.ones(900), seed)[0] == 0.0
-
-
-def test_a_pose_that_is_repeated_in_motion_is_counted() -> None:
-    times = np.arange(400) * 0.05
-    held = along_x(times)[np.repeat(np.arange(0, 400, 2), 2)]
-    found = PoseSignals(0.05).add(poses(times, held))["repeats"]
-    assert found.values.max() == 20.0
-    stops = along_x(np.minimum(times, 10.0))
-    assert PoseSignals(0.05).add(poses(times, stops))["repeats"].values.max() == 1.0
-    # Wheel odometry repeats its pose at rest.
-    shaking = np.zeros((400, 3))
-    shaking[::2, 0] = 1e-4
-    rest = np.repeat(shaking[::2], 2, axis=0)
-    assert PoseSignals(0.05).add(poses(times, rest))["repeats"].values.max() == 0.0
-    whole = PoseSignals(0.05)
-    parts = [
-        whole.add(poses(times, held)[rows])["repeats"].values
-        for rows in np.split(np.arange(400), [7, 8, 200])
-    ]
-    np.testing.assert_array_equal(np.concatenate(parts), found.values)
 
 
 def test_a_partner_with_one_state_is_waited_for() -> None:

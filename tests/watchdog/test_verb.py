@@ -35,7 +35,7 @@ def test_alarms_have_times_and_the_factor(
     assert "gyro_deg_20s" in said
     assert "factor: 1. If this run is healthy, use --factor " in said
     found = json.loads((tmp_path / "w.json").read_text())
-    assert found["schema"] == "trajeval-watch/2"
+    assert found["schema"] == "trajeval-watch/3"
     assert found["factor"] == 1.0
     begin = min(alarm["begin_ns"] for alarm in found["alarms"])
     onset = 1_700_000_050 * SECOND

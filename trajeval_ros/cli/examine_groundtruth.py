@@ -24,7 +24,7 @@ _PARAMETERS = (
         "vibration and scale errors and are larger than in data sheets. Default: 8e-4,2e-2."),
     option("--time-offset", kind=float, metavar="S", panel=INPUT,
         help="Approximate offset to add to the groundtruth's timestamps, in seconds. Default: "
-        "from the turn rates."),
+        "from the rotation rates."),
     option("--save-as", metavar="FORMAT", panel=OUTPUT,
         help="Format of the repaired groundtruth: tum, euroc (with velocities and biases), or "
         "mcap or rosbag2 (Odometry with covariances)."),

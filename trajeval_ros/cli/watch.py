@@ -175,6 +175,8 @@ def _print(seen: Watched, book: AlarmBook) -> None:
     if book.alarms:
         rows = watch_report.alarm_rows(book)
         show(terminal, Table("", watch_report.ALARM_WORDS, watch_report.ALARM_NUMBERS, rows))
+    if seen.events:
+        terminal.print(watch_report.events_line(seen), soft_wrap=True)
     rows = watch_report.signal_rows(seen, book)
     show(terminal, Table("", watch_report.SIGNAL_WORDS, watch_report.SIGNAL_NUMBERS, rows))
     terminal.print(watch_report.seen_line(seen, book), soft_wrap=True)

@@ -29,12 +29,11 @@ SMALL_S = 0.25  # offsets within this are near zero: a search finds them without
 _LARGEST = 0.999  # correlation, for its logarithm
 _BELOW_OUTLIERS = 0.98  # share of the rates that are used as they are; larger ones are reduced
 _PARTS, _PART_REACH_S = 3, 6.0  # parts with their own offsets, and largest change of an offset
-_SLOWEST, _FASTEST, _RATE_PRIOR = 0.4, 2.5, -4.0  # clock rates of the search, which are rare
+_SLOWEST, _FASTEST = 0.4, 2.5  # clock rates of the search
 _FIRST_SPAN_S, _COHERENT_S = 30.0, 0.7  # of the search: first part, and shift at its ends
-_REFINED = 4  # rates to refine with a longer part
+_REFINED = 2  # rates to refine with a longer part
 USABLE_PEAK = 0.6  # correlation from which on an offset is applied to other tests
-_ALIKE_PEAK, _ALIKE_RATE = 0.95, 0.985  # correlations from which on no other rate is searched
-_NEAR_S = 0.5  # largest offset with the second of these: turn rates can match at random
+_ALIKE = 0.97  # correlation from which on no other rate is searched
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
 
 
@@ -70,6 +69,15 @@ class RatesOfMotion:
         known = (np.interp(at, cells, self.known) > _LARGEST).astype(np.float64)
         values = np.array([np.interp(at, cells, row) for row in self.values]) / factor
         return replace(self, known=known, values=values)
+
+    def coarser(self, count: int) -> RatesOfMotion:
+        """Return means of `count` cells; those with a gap are not known."""
+        rows = len(self.known) // count * count
+        known, values = (
+            side[..., :rows].reshape(*side.shape[:-1], -1, count).mean(axis=-1)
+            for side in (self.known, self.values)
+        )
+        return RatesOfMotion(self.start_s, np.floor(known), values, self.cell_s * count)
 
     def cells(self, first: int, end: int) -> RatesOfMotion:
         """Return the rates from one cell to another, excluded."""
@@ -163,16 +171,18 @@ def _log_odds(correlations: Floats, seconds: Floats | float) -> Floats:
     return np.asarray((-0.5 * seconds * np.log(1.0 - bounded**2)).sum(axis=0))
 
 
-def parts_log_odds(
+def offsets_of_parts(
     groundtruth: RatesOfMotion, estimate: RatesOfMotion, match: ClockMatch
-) -> float:
+) -> tuple[float, float]:
     """Return how much likelier parts of the run are with offsets of their own, as a logarithm.
 
-    It is large if the clock rates differ, and infinite if no offset fits the whole run.
+    It is large if the clock rates differ, and infinite if no offset fits the whole run. The second
+    value is the rate that follows from these offsets.
     """
     if match.log_odds <= 0.0 or match.peak < USABLE_PEAK:
-        return math.inf
+        return math.inf, 1.0
     gain, cell_s = 0.0, estimate.cell_s
+    moved: list[tuple[float, float]] = []  # cells of the middle of a part, and of its offset
     cells = round((match.offset_s + estimate.start_s - groundtruth.start_s) / cell_s)
     reach = int(_PART_REACH_S / cell_s)
     for number in range(_PARTS):
@@ -185,19 +195,24 @@ def parts_log_odds(
         lags, correlations, overlap_s = _correlations(groundtruth.cells(low, high), part)
         enough = overlap_s > 0.7 * count * cell_s
         log_odds = np.where(enough, _log_odds(correlations, overlap_s), 0.0)
-        at = int(np.abs(lags - (first - low)).argmin())
-        gain += float(log_odds.max() - log_odds[max(at - 2, 0) : at + 3].max())
+        best, at = int(log_odds.argmax()), int(np.abs(lags - (first - low)).argmin())
+        gain += float(log_odds[best] - log_odds[max(at - 2, 0) : at + 3].max())
+        moved.append((first + count / 2.0, float(lags[best] - lags[at])))
+    middles, offsets = np.array(moved).reshape(-1, 2).T
+    factor = 1.0 + float(np.polyfit(middles, offsets, 1)[0]) if len(moved) > 1 else 1.0
     # Two more offsets, each out of this many.
-    return gain - 2.0 * math.log(2.0 * _PART_REACH_S / (4.0 * _CELL_S))
+    return gain - 2.0 * math.log(2.0 * _PART_REACH_S / (4.0 * _CELL_S)), factor
 
 
 def search_rate(
     groundtruth: RatesOfMotion, estimate: RatesOfMotion
-) -> tuple[float, ClockMatch] | None:
-    """Return the clock rate with the largest likelihood, and its match; None without a match.
+) -> tuple[float, ClockMatch | None]:
+    """Return the clock rate with the largest likelihood, and its match, if there is one.
 
     A part from the middle of the run allows large steps of the rate. Longer parts refine it.
     """
+    fine, count = (groundtruth, estimate), max(int(_COHERENT_S / 2.0 / estimate.cell_s), 1)
+    groundtruth, estimate = (side.coarser(count) for side in fine)
     total_s = len(estimate.known) * estimate.cell_s
     span_s = min(_FIRST_SPAN_S, total_s)
     step = 2.0 * _COHERENT_S / span_s if span_s > 0.0 else 1.0
@@ -211,7 +226,7 @@ def search_rate(
     def score(part: RatesOfMotion, factor: float) -> float:
         """Return the largest log odds over all offsets, per second; gaps count as the mean."""
         stretched = part.by_faster_clock(factor)
-        values = stretched.standardized[: len(groundtruth.values)]
+        values = (stretched.values * factor * stretched.known)[: len(groundtruth.values)]
         least = values.shape[-1] + len(groundtruth.known) - 1
         # The shortest fast transform without a wrap.
         size = min(n << max((-(-least // n) - 1).bit_length(), 0) for n in (1, 3, 5, 9))
@@ -224,9 +239,9 @@ def search_rate(
 
     while True:
         half = 0.5 * span_s / total_s
-        ranked = sorted(
-            factors, key=functools.partial(score, estimate.part(0.5 - half, 0.5 + half))
-        )
+        part = estimate.part(0.5 - half, 0.5 + half)
+        part = replace(part, values=part.standardized)
+        ranked = sorted(factors, key=functools.partial(score, part))
         if span_s >= total_s:
             break
         span_s, width = min(4.0 * span_s, total_s), step
@@ -236,9 +251,8 @@ def search_rate(
         factors = np.unique(np.outer(ranked[-_REFINED:], near))
     # Fast motions correlate only within a part of the last step.
     last = ranked[-1] * np.exp(step * np.linspace(-0.5, 0.5, 9))
-    factor = float(max(last, key=functools.partial(score, estimate)))
-    match = ClockMatch.between(groundtruth, estimate.by_faster_clock(factor))
-    return None if match is None else (factor, match)
+    factor = float(max(last, key=functools.partial(score, part)))
+    return factor, ClockMatch.between(fine[0], fine[1].by_faster_clock(factor))
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,23 +274,26 @@ class Clock:
             return cls()
         match, prior = ClockMatch.between(*rates), MISTAKE
         is_clear = is_alike = is_small = False
+        gain, factor = math.inf, 1.0
         if match is not None:
             prior -= math.log(max(match.searched_s, 1.0) / SMALL_S)
             others = max(match.log_odds_at_zero - prior, match.log_odds_of_second)
             is_clear = match.log_odds > others + ODDS
             is_small = abs(match.offset_s) <= SMALL_S
-            is_alike = match.peak > _ALIKE_PEAK or (
-                match.highest > _ALIKE_RATE and abs(match.offset_s) < _NEAR_S
-            )
+            # With a large offset, turn rates alone can match at random.
+            is_alike = (match.highest if is_small else match.peak) > _ALIKE
+            if not is_alike:
+                gain, factor = offsets_of_parts(*rates, match)
         # No offset explains the rates, or parts of the run have different ones.
-        differs = not is_alike and (
-            match is None or not (is_clear or is_small) or parts_log_odds(*rates, match) > ODDS
-        )
-        other = search_rate(*rates) if differs and searches_rate else None
-        if other is not None:
-            factor, faster = other
-            least = (0.0 if match is None else match.log_odds) + ODDS - prior - _RATE_PRIOR
-            if faster.log_odds > least and faster.peak > USABLE_PEAK:
+        if searches_rate and not is_alike and (not (is_clear or is_small) or gain > ODDS):
+            likely = 0.0 if match is None else match.log_odds
+            faster = None
+            if ODDS < gain < math.inf:
+                faster = ClockMatch.between(rates[0], rates[1].by_faster_clock(factor))
+            if faster is None or faster.log_odds < likely + gain - ODDS:
+                factor, faster = search_rate(*rates)
+            least = likely + ODDS - prior - MISTAKE  # rates are rarer
+            if faster is not None and faster.log_odds > least and faster.peak > USABLE_PEAK:
                 return cls(faster, faster.offset_s, factor, is_stated=True)
         if match is None or match.peak <= USABLE_PEAK:
             return cls(match)

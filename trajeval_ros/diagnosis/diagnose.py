@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.diagnosis.causes import CAUSES
-from trajeval_ros.diagnosis.column_tests import columns_of_others
+from trajeval_ros.diagnosis.column_tests import tests_of_columns
 from trajeval_ros.diagnosis.discontinuities import (
     changes_motions,
     examined_discontinuities,
@@ -26,15 +26,8 @@ from trajeval_ros.diagnosis.evaluation_tests import (
     frame_offset,
     number_of_pairs,
 )
-from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding, TestResult
+from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding
 from trajeval_ros.diagnosis.input_pair import FEWEST, InputPair
-from trajeval_ros.diagnosis.input_tests import (
-    duplicated_rows,
-    rounded_stamps,
-    same_positions,
-    standing_still,
-    swapped_names,
-)
 from trajeval_ros.diagnosis.lost_tracking_tests import (
     begins_at_start,
     is_certain,
@@ -86,15 +79,15 @@ def diagnose(
         motions hides discontinuities: they are searched for after its correction.
     """
     protocol, pairs = evaluation.protocol, evaluation.association
-    sides, time_offset_s = (groundtruth, estimate), None
+    sides, offset_s = (groundtruth, estimate), protocol.association.time_offset_s
     if paired or pairs.rule.method == "index":
-        sides, time_offset_s = (pairs.groundtruth, pairs.estimate), 0.0
+        sides, offset_s = (pairs.groundtruth, pairs.estimate), 0.0
         protocol = dataclasses.replace(protocol, association=pairs.rule)
     elif protocol.lever_m is not None:
         sides = evaluation.groundtruth, evaluation.estimate
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
-    inputs = InputPair.of(*sides, protocol, time_offset_s=time_offset_s)
+    inputs = InputPair(*sides, protocol, offset_s)
     known, is_partial = _tested_where_tracked(losses, pairs, inputs)
     if known.named("other_run") and _is_of_noisy_fixes(evaluation):
         known = known.without("other_run", "fixes are noisier than short motions")
@@ -103,7 +96,7 @@ def diagnose(
     # A flip changes no rate of motion, by which clocks and other runs are known.
     is_apart = known.names_any(_OTHER_PAIRS) and not has_clock_step(evaluation)
     if changes_motions(evaluation) and not is_apart:
-        known, is_partial = Diagnosis.of(_tests_of_sides(inputs)), True
+        known, is_partial = Diagnosis.of(tests_of_columns(inputs)), True
     examined = [number, *known.examined, examined_discontinuities(evaluation, known)]
     if not is_partial:
         examined.append(frame_offset(evaluation))
@@ -139,7 +132,7 @@ def diagnose_inputs(
     """Search for mistakes in two trajectories that can't be evaluated."""
     groundtruth.require_usable()
     estimate.require_usable()
-    inputs = InputPair.of(groundtruth, estimate, protocol)
+    inputs = InputPair(groundtruth, estimate, protocol, protocol.association.time_offset_s)
     try:
         pairs = associate(groundtruth, estimate, protocol.association)
     except InputError:  # no pairs: their number is not the cause
@@ -197,8 +190,8 @@ def require_conventions(
         groundtruth, estimate = pairs.groundtruth, pairs.estimate
     groundtruth.require_usable()
     estimate.require_usable()
-    offset_s = None if pairs is None else 0.0
-    inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=offset_s)
+    offset_s = protocol.association.time_offset_s if pairs is None else 0.0
+    inputs = InputPair(groundtruth, estimate, protocol, offset_s)
     if (finding := _tested(inputs).of_conventions()) is not None:
         raise InputError(f"--hand-eye auto needs correct conventions, but {finding.text}")
 
@@ -218,14 +211,8 @@ def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
         inputs = inputs.tracked(losses)
         if min(len(inputs.groundtruth), len(inputs.estimate)) < FEWEST:
             return Diagnosis()
-    of_sides = Diagnosis.of(_tests_of_sides(inputs))
+    of_sides = Diagnosis.of(tests_of_columns(inputs))
     if of_sides.names_any(_FINAL):
         return of_sides
-    return Diagnosis.of([*of_sides.examined, *tests_of_motion(inputs)])
-
-
-def _tests_of_sides(inputs: InputPair) -> list[TestResult]:
-    tests = (
-        standing_still, rounded_stamps, same_positions, duplicated_rows, swapped_names,
-    )  # fmt: skip
-    return [*(test(inputs) for test in tests), *columns_of_others(inputs)]
+    is_copied = of_sides.names_any(["duplicated"])
+    return Diagnosis.of([*of_sides.examined, *tests_of_motion(inputs, is_copied=is_copied)])

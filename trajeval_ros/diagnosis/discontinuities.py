@@ -198,7 +198,6 @@ def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> De
     """Return the cause of discontinuities of one kind and side: its largest one."""
     event = max(group, key=lambda event: (event.ratio, abs(event.s)))
     begin_s, end_s = ((ns - first_ns) / NANOSECONDS for ns in (event.t_ns, event.end_ns))
-    sizes = ((event.m, f"{event.m:.2f} m"), (event.deg, f"{event.deg:.0f} deg"))
     values: dict[str, Value] = {
         "side": event.side,
         "other": kinds.SIDES[event.side == kinds.GROUNDTRUTH],
@@ -207,7 +206,7 @@ def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> De
         "s": event.s,
         "begin_s": begin_s,
         "end_s": end_s,
-        "size": " and ".join(text for value, text in sizes if value),
+        "size": event.size,
         "lasting": f" for {event.s:.2f} s" if event.s else "",
         "gap": f", in a gap of {event.gap_s:.1f} s" if event.gap_s else "",
         "number": f" (largest of {len(group)})" if len(group) > 1 else "",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.consistency.constant_covariances import constant_covariances
-from trajeval_ros.diagnosis.findings import Detection, TestResult, Value
+from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.gauge import Gauge
@@ -43,35 +43,35 @@ def number_of_pairs(
 ) -> TestResult:
     """Test the number of pairs of two trajectories, with advice on how to get more."""
     test, scores, rule = "number of pairs", {"pairs": float(len(pairs))}, pairs.rule
-    warning = few_pairs(protocol, pairs)
-    if not warning:
+    text, more = (
+        few_pairs(protocol, pairs),
+        "evaluate a longer recording, or pair more poses with ",
+    )
+    if not text:
         return TestResult(test, scores)
     if protocol.gauge.has_translation:
         enough = protocol.gauge.enough_pairs(protocol.align_states)
-        warning += (
+        text += (
             f": the alignment by {protocol.gauge.value} removes most of the error of fewer than "
             f"{enough} pairs"
         )
-    more = "evaluate a longer recording, or pair more poses with --max-time-difference and "
-    more += "--max-gap"
+    more += "--max-time-difference and --max-gap"
     step_s = median(np.diff(groundtruth.stamps)) / NANOSECONDS if len(groundtruth) > 1 else 0.0
     if groundtruth.kind == "points" and pairs.groundtruth_coverage == 1.0:
         more = "survey more points"
     elif step_s > rule.max_gap_s and rule.method == "linear":
-        warning += (
+        text += (
             f"; the groundtruth has {counted(len(groundtruth), 'state')}, {step_s:.1f} s apart "
             f"(median), and the limit for interpolation is {rule.max_gap_s:g} s: for "
             "surveyed points, use --association groundtruth-stamps"
         )
     elif rule.method in ("nearest", "rpg", "evo"):
-        warning += (
+        text += (
             f"; {len(groundtruth)} groundtruth states and {len(estimate)} estimated states are "
             f"paired within {rule.max_time_difference_s:g} s: change the limit with "
             "--max-time-difference SECONDS"
         )
-    return TestResult(
-        test, scores, (Detection("few_pairs", {"text": warning, "more": more, **scores}),)
-    )
+    return TestResult(test, scores, (Detection.of("few_pairs", text=text, more=more, **scores),))
 
 
 def frame_offset(evaluation: Evaluation) -> TestResult:
@@ -80,25 +80,21 @@ def frame_offset(evaluation: Evaluation) -> TestResult:
     if evaluation.protocol.gauge is not Gauge.NONE:
         return TestResult(test, why_not="the alignment removes an offset")
     apart = evaluation.association.groundtruth.positions - evaluation.aligned.positions
-    mean = apart.mean(axis=0)
-    total = float(np.mean(np.sum(apart**2, axis=1)))
+    mean, total = apart.mean(axis=0), float(np.mean(np.sum(apart**2, axis=1)))
     share = float(mean @ mean) / total if total > 0.0 else 0.0
     length_m = float(np.linalg.norm(mean))
     scores = {"offset_m": length_m, "share": share}
     if len(apart) < FEWEST or length_m < _LEAST_OFFSET_M or share < _OFFSET_SHARE:
         return TestResult(test, scores)
     height = abs(float(mean @ evaluation.groundtruth.up.matrix[2]))
-    level = float(np.sqrt(max(length_m**2 - height**2, 0.0)))
+    level = math.sqrt(max(length_m**2 - height**2, 0.0))
     is_geoid = level < _LEVEL * height and _GEOID_M[0] < height < _GEOID_M[1]
     kind = ": probably heights above the ellipsoid and above the geoid" if is_geoid else ""
     offset = ", ".join(f"{component:.2f}" for component in mean)
-    values: dict[str, Value] = {
-        "offset": offset,
-        "offset_m": length_m,
-        "percent": 100.0 * share,
-        "kind": kind,
-    }
-    return TestResult(test, scores, (Detection("frames_apart", values),))
+    seen = Detection.of(
+        "frames_apart", offset=offset, offset_m=length_m, percent=100.0 * share, kind=kind
+    )
+    return TestResult(test, scores, (seen,))
 
 
 def covariance_blocks(evaluation: Evaluation) -> TestResult:
@@ -113,25 +109,19 @@ def covariance_blocks(evaluation: Evaluation) -> TestResult:
     usable = np.isfinite(variances).all(axis=1) & (variances > 0.0).all(axis=1)
     if np.count_nonzero(usable) < _FEWEST_COVARIANCES:
         return TestResult(test, why_not="the covariances are not positive")
-    blocks = variances[usable, :3].sum(axis=1), variances[usable, 3:].sum(axis=1)
-    squares = [errors.position_m[usable] ** 2, np.radians(errors.rotation_deg[usable]) ** 2]
+    blocks = variances[usable].reshape(-1, 2, 3).sum(axis=2).T
+    squares = np.square([errors.position_m[usable], np.radians(errors.rotation_deg[usable])])
     # Ratios of errors and standard deviations, median over states, as read and exchanged.
-    as_read, exchanged = (
-        [
-            float(np.sqrt(median(square / block)))
-            for square, block in zip(squares, some, strict=True)
-        ]
-        for some in (blocks, blocks[::-1])
-    )
     names = "position", "rotation", "position_if_exchanged", "rotation_if_exchanged"
-    scores = dict(zip(names, (*as_read, *exchanged), strict=True))
-    if not min(scores.values()) > 0.0:
+    ratios = [math.sqrt(median(row)) for some in (blocks, blocks[::-1]) for row in squares / some]
+    scores = dict(zip(names, ratios, strict=True))
+    if not min(ratios) > 0.0:
         return TestResult(test, scores, why_not="the errors are zero")
-    logs, others = np.log10(as_read), np.log10(exchanged)
+    logs, others = np.log10(ratios).reshape(2, 2)
     seen: tuple[Detection, ...] = ()
     if np.ptp(logs) > _APART and np.ptp(others) < _SAME and np.abs(others).max() < _NEAR:
         names = "as_read", "as_read_rotation", "exchanged", "exchanged_rotation"
-        seen = (Detection("covariance_order", dict(zip(names, scores.values(), strict=True))),)
+        seen = (Detection("covariance_order", dict(zip(names, ratios, strict=True))),)
     elif abs(logs[0]) < _SAME and abs(logs[1] + math.log10(math.degrees(1.0))) < _SAME:
-        seen = (Detection.of("covariance_degrees", times=1.0 / as_read[1]),)
+        seen = (Detection.of("covariance_degrees", times=1.0 / ratios[1]),)
     return TestResult(test, scores, seen)

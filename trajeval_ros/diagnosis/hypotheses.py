@@ -24,7 +24,7 @@ ODDS = 12.0  # least logarithm of odds of a statement: alarms against missed mis
 TIE = 3.0  # largest difference of logarithms between models that the motion can't distinguish
 # Logarithms of prior probabilities: rare mistakes need more evidence than frequent ones.
 MISTAKE = -3.0  # a mistake, such as quaternions with w first
-_OF_GROUNDTRUTH, _OF_BOTH = -0.5, -1.0  # in addition, of the groundtruth and of both sides
+_OF_GROUNDTRUTH = -0.5  # in addition, of the groundtruth; twice of both sides
 _EXCHANGED_AXES, _PER_CHANGED_AXIS = -2.0, -0.25  # axes exchanged, and flipped or exchanged
 _MIRROR, _MIRROR_PER_AXIS = 1.5, -0.1  # poses mirrored as a whole: most often one axis flips
 OTHER_BODY = -5.0  # axes of the body exchanged or flipped, such as a camera's
@@ -65,7 +65,11 @@ def _w_first_inverse(quaternions: Floats) -> Floats:
 
 def _table() -> list[Hypothesis]:
     rows = [Hypothesis(AS_READ, "", 0.0, with_axes=True)]
-    for side, prior in ((ESTIMATE, 0.0), (GROUNDTRUTH, _OF_GROUNDTRUTH), (BOTH, _OF_BOTH)):
+    for side, prior in (
+        (ESTIMATE, 0.0),
+        (GROUNDTRUTH, _OF_GROUNDTRUTH),
+        (BOTH, 2.0 * _OF_GROUNDTRUTH),
+    ):
         # With other axes on the groundtruth's side, worlds that differ by 90 deg match at random.
         axes, one = side == ESTIMATE, MISTAKE + prior
         of_side = [
@@ -145,12 +149,8 @@ EULER_HYPOTHESES = _euler_table()
 
 def _signed_permutations() -> Floats:
     """Return the 48 matrices that exchange and flip axes, the identity first, by trace."""
-    rows = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            rows.append(matrix)
+    orders, signs = itertools.permutations(np.eye(3)), itertools.product((1.0, -1.0), repeat=3)
+    rows = [np.diag(some) @ order for order, some in itertools.product(orders, signs)]
     return np.array(sorted(rows, key=lambda m: (-float(np.trace(m)), -float(np.linalg.det(m)))))
 
 

@@ -15,7 +15,6 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.interpolation import mix, slerp, steps_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import every_nth
-from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.metrics.association import INTERPOLATING
 from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.metrics.statistics import median
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 FEWEST = 12  # poses, motions or repetitions: fewer are no evidence
 SHORTEST_S = 8.0  # of a side and in common: less motion has no evidence
-SAMPLE = 2000  # rows in a statistic of columns, which bounds its cost
+SAMPLE = 400  # rows or motions in a statistic, which bounds its cost
 
 
 class Between(NamedTuple):
@@ -93,11 +92,6 @@ class TimedPoses:
         return median(np.diff(self.seconds)[every_nth(len(self) - 1, SAMPLE)])
 
     @cached_property
-    def moved(self) -> Floats:
-        """Lengths (N - 1,) of the steps between consecutive poses."""
-        return step_lengths(self.positions)
-
-    @cached_property
     def extent(self) -> float:
         """Standard deviation of the positions about their mean, units of the source."""
         return math.hypot(*map(np.std, self.positions.T)) if len(self) else 0.0
@@ -120,42 +114,38 @@ def lengths(vectors: Floats) -> Floats:
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
 
 
+def other_side(side: str) -> str:
+    """Return the side that is not the given one."""
+    return "groundtruth" if side == "estimate" else "estimate"
+
+
 @dataclass(frozen=True, eq=False)
 class InputPair:
-    """Groundtruth, an estimate and the settings of their comparison."""
+    """Groundtruth, an estimate, with at least one state each, and the settings of a comparison."""
 
     groundtruth: Trajectory  # as it was read
     estimate: Trajectory  # as it was read
     protocol: Protocol
     offset_s: float  # to add to the estimate's timestamps; 0 if it is applied already
 
-    @classmethod
-    def of(
-        cls,
-        groundtruth: Trajectory,
-        estimate: Trajectory,
-        protocol: Protocol,
-        *,
-        time_offset_s: float | None = None,
-    ) -> InputPair:
-        """Return two trajectories, with at least one state each, with the settings of a protocol.
-
-        The estimate's timestamps get `time_offset_s`, by default the protocol's.
-        """
-        usual_s = protocol.association.time_offset_s
-        return cls(
-            groundtruth, estimate, protocol, usual_s if time_offset_s is None else time_offset_s
-        )
+    @cached_property
+    def poses(self) -> dict[str, TimedPoses]:
+        """Columns by side, in the order of the sources, since the groundtruth's begin."""
+        epoch_ns = int(self.groundtruth.stamps.min())
+        return {
+            "estimate": TimedPoses.of(self.estimate, epoch_ns, self.offset_s),
+            "groundtruth": TimedPoses.of(self.groundtruth, epoch_ns),
+        }
 
     @cached_property
-    def groundtruth_poses(self) -> TimedPoses:
-        """Columns of the groundtruth, in the order of the source."""
-        return TimedPoses.of(self.groundtruth, int(self.groundtruth.stamps.min()))
+    def in_order(self) -> tuple[TimedPoses, TimedPoses]:
+        """Groundtruth and estimate sorted by time, of equal times the first pose."""
+        return self.poses["groundtruth"].in_order(), self.poses["estimate"].in_order()
 
-    @cached_property
-    def estimate_poses(self) -> TimedPoses:
-        """Columns of the estimate with the time offset, since the groundtruth's begin."""
-        return TimedPoses.of(self.estimate, int(self.groundtruth.stamps.min()), self.offset_s)
+    @property
+    def has_enough(self) -> bool:
+        """Whether both sides have enough poses for a test."""
+        return min(map(len, self.poses.values())) >= FEWEST
 
     @property
     def gauge(self) -> Gauge:
@@ -170,20 +160,10 @@ class InputPair:
         return rule.max_gap_s if interpolates else 2.0 * rule.max_time_difference_s
 
     @property
-    def time_offset_s(self) -> float:
-        """Offset of the protocol, which is added to the timestamps of the estimate."""
-        return self.protocol.association.time_offset_s
-
-    @property
     def by_time(self) -> bool:
         """Whether states are paired by timestamps; otherwise by row index."""
         is_stamped = self.groundtruth.reading.stamped and self.estimate.reading.stamped
         return self.protocol.association.method != "index" and is_stamped
-
-    @cached_property
-    def in_order(self) -> tuple[TimedPoses, TimedPoses]:
-        """Groundtruth and estimate sorted by time, of equal times the first pose."""
-        return self.groundtruth_poses.in_order(), self.estimate_poses.in_order()
 
     def tracked(self, losses: Sequence[Loss]) -> InputPair:
         """Return both sides until a divergence or the end, the estimate without frozen poses."""

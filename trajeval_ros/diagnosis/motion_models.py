@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,6 +47,7 @@ MOST_INDEPENDENT = 25.0  # motions; more are not more evidence, because no model
 _RANKED = 9  # models with a likelihood, out of all
 _LEAST_RATIO = 0.05  # of the usual length of motions: smaller projections are noise
 _LARGEST_WEIGHT = 4.0  # of a squared residual relative to the mean, for the start of the iteration
+_IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +68,14 @@ class Model:
         return self.log_likelihood + self.log_prior
 
     @property
-    def is_mirrored(self) -> bool:
-        """Whether the axes are left-handed."""
-        return float(np.linalg.det(self.axes)) < 0.0
+    def mirrors_poses(self) -> bool:
+        """Whether whole poses are mirrored: the axes are -1, and the body is rotated."""
+        return bool((self.axes == -_IDENTITY).all())
 
     @property
     def changes_axes(self) -> bool:
         """Whether the positions have other axes than the rotations."""
-        return bool((self.axes != np.eye(3)).any())
+        return bool((self.axes != _IDENTITY).any())
 
     @property
     def cause(self) -> str:
@@ -83,12 +85,19 @@ class Model:
             return cause
         if cause != AS_READ:
             return "conventions"
-        # Whole poses are mirrored, or only the positions have other axes.
-        return "mirrored" if (self.axes == -np.eye(3)).all() else "axes_mixed"
+        return "mirrored" if self.mirrors_poses else "axes_mixed"
 
 
-@dataclass(frozen=True)
-class Unrelated:
+class Candidates(NamedTuple):
+    """The columns of K models of a hypothesis, without likelihoods."""
+
+    axes: Floats  # (K, 3, 3)
+    bodies: Floats  # (K, 3, 3)
+    log_priors: Floats  # (K,)
+    agreements: Floats  # (K,)
+
+
+class Unrelated(NamedTuple):
     """Logarithms of the likelihoods of models without a common motion."""
 
     motions: float  # nothing is related
@@ -120,45 +129,33 @@ def bounded(vectors: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class GroundtruthMotions:
-    """The groundtruth's motions in the axes of its body, and the units of the residuals."""
+    """The groundtruth's motions in the axes of its body, and the units of the residuals.
 
-    ends: PoseEnds
+    All are pairs of rotation vectors and displacements.
+    """
 
-    @functools.cached_property
-    def motions(self) -> tuple[Floats, Floats]:
-        """Rotation vectors and displacements (N, 3)."""
-        return self.ends.body_motions()
+    motions: Sequence[Floats]  # (N, 3)
+    bounded: Sequence[Floats]  # (N, 3), with limited lengths
+    # (N,) units of the residuals. Errors have a constant part, and one that grows with the motion.
+    units: Sequence[Floats]
+    # (3, 3) principal axes: with them, no common rotation changes a likelihood.
+    axes: Sequence[Floats]
+    log_units: float  # logarithm of the determinant of the units
 
-    @functools.cached_property
-    def bounded(self) -> list[Floats]:
-        """The motions with limited lengths."""
-        return [bounded(rows) for rows in self.motions]
-
-    @functools.cached_property
-    def units(self) -> list[Floats]:
-        """Units (N,) of the residuals of rotations and displacements.
-
-        Errors have a constant part, and a part that grows with the motion.
-        """
-        return [size + median(size) + 1e-9 for size in map(lengths, self.motions)]
-
-    @functools.cached_property
-    def log_units(self) -> float:
-        """The logarithm of the determinant of the units."""
-        kinds = self.units if self.ends.quaternions is not None else self.units[1:]
-        return 3.0 * sum(float(np.log(unit).sum()) for unit in kinds)
-
-    @functools.cached_property
-    def principal_axes(self) -> list[Floats]:
-        """Axes (3, 3) of rotations and displacements.
-
-        With these axes, no common rotation changes a likelihood.
-        """
-        return [np.linalg.eigh(rows.T @ rows)[1] for rows in self.bounded]
+    @classmethod
+    def of(cls, ends: PoseEnds) -> GroundtruthMotions:
+        """Return the motions between poses."""
+        motions = ends.body_motions()
+        limited = [bounded(rows) for rows in motions]
+        units = [size + median(size) + 1e-9 for size in map(lengths, motions)]
+        kinds = units if ends.quaternions is not None else units[1:]
+        log_units = 3.0 * sum(float(np.log(unit).sum()) for unit in kinds)
+        axes = [np.linalg.eigh(rows.T @ rows)[1] for rows in limited]
+        return cls(motions, limited, units, axes, log_units)
 
     def in_units(self, kind: int, residuals: Floats) -> Floats:
         """Return residuals (N, 3) of rotations (0) or displacements (1) in their units (3, N)."""
-        return (residuals @ self.principal_axes[kind] / self.units[kind][:, None]).T
+        return (residuals @ self.axes[kind] / self.units[kind][:, None]).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,25 +163,18 @@ class ReadMotions:
     """The motions as a hypothesis reads them, and what all its models share."""
 
     motions: ShortMotions  # with the hypothesis applied to both sides
-    of_groundtruth: GroundtruthMotions
+    truth: GroundtruthMotions
+    rotations: Floats  # (N, 3) rotation vectors of the estimate
+    to_world: Floats  # (N, 3, 3) rotations of the estimate at the starts
 
-    @property
-    def groundtruth(self) -> tuple[Floats, Floats]:
-        """Rotation vectors and displacements (N, 3) in the axes of the groundtruth's body."""
-        return self.of_groundtruth.motions
-
-    @functools.cached_property
-    def rotations(self) -> Floats:
-        """Rotation vectors (N, 3) of the estimate."""
-        return self.motions.estimate.body_motions()[0]
-
-    @functools.cached_property
-    def to_world(self) -> Floats:
-        """Rotations (N, 3, 3) of the estimate at the starts."""
-        quaternions = self.motions.estimate.quaternions
-        if quaternions is None:
-            return np.broadcast_to(np.eye(3), (len(self.motions), 3, 3))
-        return lie.to_matrix(quaternions[0])
+    @classmethod
+    def of(cls, motions: ShortMotions, truth: GroundtruthMotions) -> ReadMotions:
+        """Return the motions with those of the groundtruth."""
+        quaternions = motions.estimate.quaternions
+        to_world = np.broadcast_to(_IDENTITY, (len(motions), 3, 3))
+        if quaternions is not None:
+            to_world = lie.to_matrix(quaternions[0])
+        return cls(motions, truth, motions.estimate.body_motions()[0], to_world)
 
     def displacements(self, axes: Floats) -> Floats:
         """Return displacements (N, 3) in the estimate's body, with axes of its positions."""
@@ -193,7 +183,7 @@ class ReadMotions:
 
     def moments(self, axes: Floats) -> Floats:
         """Return moments (P, 3, 3) of both sides' motions, by axes (P, 3, 3) of the positions."""
-        rotations, displacements = self.of_groundtruth.bounded
+        rotations, displacements = self.truth.bounded
         steps = bounded(self.motions.estimate.displacements)
         count = len(steps)
         products = (displacements[:, :, None] * steps[:, None, :]).reshape(count, 9)
@@ -218,7 +208,7 @@ class ModelScores:
         self.evidence = min(motions.independent, MOST_INDEPENDENT)  # independent motions
         self.weight = self.evidence / len(motions)  # of a motion in the evidence
         self._read: dict[Hypothesis, ReadMotions] = {}
-        self._groundtruth: dict[str, GroundtruthMotions] = {}  # by cause
+        self._truth: dict[str, GroundtruthMotions] = {}  # by cause
         # Units of the estimate per metre, equal for all models, for numbers near 1.
         sizes = [
             max(median(lengths(side.displacements)), 1e-12)
@@ -229,69 +219,69 @@ class ModelScores:
     def read(self, hypothesis: Hypothesis) -> ReadMotions:
         """Return the motions as a hypothesis reads them."""
         if hypothesis not in self._read:
-            changed = hypothesis.side in (GROUNDTRUTH, BOTH)
             # Most hypotheses are about the estimate alone, and share the groundtruth's motions.
-            key = hypothesis.cause if changed else AS_READ
+            key = hypothesis.cause if hypothesis.side in (GROUNDTRUTH, BOTH) else AS_READ
             around = tuple(hypothesis.applied(GROUNDTRUTH, ends) for ends in self.motions.around)
-            if key not in self._groundtruth:
-                self._groundtruth[key] = GroundtruthMotions(around[0])
+            if key not in self._truth:
+                self._truth[key] = GroundtruthMotions.of(around[0])
             estimate = hypothesis.applied(ESTIMATE, self.motions.estimate)
             motions = replace(self.motions, around=around, estimate=estimate)
-            self._read[hypothesis] = ReadMotions(motions, self._groundtruth[key])
+            self._read[hypothesis] = ReadMotions.of(motions, self._truth[key])
         return self._read[hypothesis]
 
     def likeliest(self, hypotheses: Sequence[Hypothesis]) -> list[Model]:
         """Return the best models of hypotheses and those as read, with likelihoods, unsorted."""
-        models = [model for hypothesis in hypotheses for model in self._all_of(hypothesis)]
-        misfits = np.maximum([1.0 - model.agreement for model in models], _LEAST_RESIDUAL**2)
-        priors = np.array([model.log_prior for model in models])
-        order = np.argsort(3.0 * self.evidence * np.log(misfits) - priors)
-        chosen = [models[k] for k in order[:_RANKED]]
-        # As read, with equal bodies and with any rotation between them.
-        plain = [m for m in models if m.hypothesis.cause == AS_READ and not m.changes_axes]
-        return self.with_likelihoods([*chosen, *(m for m in plain if m not in chosen)])
+        groups = [(one, candidates) for one in hypotheses for candidates in self._candidates(one)]
+        costs = [
+            3.0 * self.evidence * np.log(np.maximum(1.0 - some.agreements, _LEAST_RESIDUAL**2))
+            - some.log_priors
+            for _, some in groups
+        ]
+        begins = np.cumsum([0, *map(len, costs)])
+        chosen = list(np.argsort(np.concatenate(costs))[:_RANKED])
+        # As read, with equal bodies and with any rotation between them: the first row of each.
+        as_read = [at for at, (one, _) in enumerate(groups) if one.cause == AS_READ]
+        chosen += [begins[at] for at in as_read if begins[at] not in chosen]
+        models = []
+        for number in chosen:
+            at = int(np.searchsorted(begins, number, side="right")) - 1
+            hypothesis, some = groups[at]
+            axes, body, log_prior, agreement = (column[number - begins[at]] for column in some)
+            models.append(Model(hypothesis, axes, body, float(log_prior), float(agreement)))
+        return self.with_likelihoods(models)
 
-    def _all_of(self, hypothesis: Hypothesis) -> Iterator[Model]:
+    def _candidates(self, hypothesis: Hypothesis) -> Iterator[Candidates]:
         """Yield the models of a hypothesis: with equal and permuted axes, and any rotation."""
         rows = np.array([0, MIRRORED])
         if self.motions.has_orientations:
             rows = np.arange(len(PERMUTATIONS)) if hypothesis.with_axes else rows[:1]
-        moments = self.read(hypothesis).moments(PERMUTATIONS[rows])
+        axes, priors = PERMUTATIONS[rows], hypothesis.log_prior + AXES_LOG_PRIORS[rows]
+        moments = self.read(hypothesis).moments(axes)
         traces, rotations = best_rotations(moments)
-        priors = hypothesis.log_prior + AXES_LOG_PRIORS[rows]
-        kinds = [(traces, priors, rotations)]  # without orientations, a rotation of the world
-        if self.motions.has_orientations:
-            permuted = np.einsum("qab,pab->pq", PROPER, moments)
-            best = permuted[:, 1:].argmax(axis=1) + 1
-            of_bodies = np.where(rows == MIRRORED, MIRROR_LOG_PRIORS[best], OTHER_BODY)
-            kinds = [
-                (permuted[:, 0] / 2.0, priors, np.broadcast_to(np.eye(3), rotations.shape)),
-                (permuted[:, 1:].max(axis=1) / 2.0, priors + of_bodies, PROPER[best]),
-                (traces / 2.0, priors + ROTATED_BODY, rotations),
-            ]
-        for agreements, log_priors, bodies in kinds:
-            for k, row in enumerate(rows):
-                yield Model(
-                    hypothesis,
-                    PERMUTATIONS[row],
-                    bodies[k],
-                    float(log_priors[k]),
-                    float(agreements[k]),
-                )
+        if not self.motions.has_orientations:  # a rotation of the world
+            yield Candidates(axes, rotations, priors, traces)
+            return
+        permuted = np.einsum("qab,pab->pq", PROPER, moments) / 2.0
+        best = permuted[:, 1:].argmax(axis=1) + 1
+        of_bodies = np.where(rows == MIRRORED, MIRROR_LOG_PRIORS[best], OTHER_BODY)
+        equal = np.broadcast_to(_IDENTITY, rotations.shape)
+        yield Candidates(axes, equal, priors, permuted[:, 0])
+        yield Candidates(axes, PROPER[best], priors + of_bodies, permuted[:, 1:].max(axis=1))
+        yield Candidates(axes, rotations, priors + ROTATED_BODY, traces / 2.0)
 
     def with_likelihoods(self, models: list[Model]) -> list[Model]:
         """Return models with their scales and likelihoods."""
         residuals, scales = [], []
         for model in models:
             read = self.read(model.hypothesis)
-            rotations, displacements = read.groundtruth
+            rotations, displacements = read.truth.motions
             rotated = read.displacements(model.axes) @ model.body.T
             ratio, rest = self._apart(displacements, rotated)
             scales.append(1.0 / ratio)
-            kinds = [read.of_groundtruth.in_units(1, rest)]
+            kinds = [read.truth.in_units(1, rest)]
             if self.motions.has_orientations:
                 turned = read.rotations @ model.body.T - rotations
-                kinds.append(read.of_groundtruth.in_units(0, turned))
+                kinds.append(read.truth.in_units(0, turned))
             residuals.append(np.concatenate(kinds))
         means = t_log_likelihood(np.array(residuals))[0].sum(axis=1)
         return [
@@ -314,7 +304,7 @@ class ModelScores:
 
     def _total(self, hypothesis: Hypothesis, mean: float) -> float:
         """Return the log likelihood in the units of the motions."""
-        return self.evidence * mean - self.weight * self.read(hypothesis).of_groundtruth.log_units
+        return self.evidence * mean - self.weight * self.read(hypothesis).truth.log_units
 
     def log_odds_of_worlds(self, model: Model, one: Floats, other: Floats) -> float:
         """Return the log odds of rotations (N, 4) from the estimate's world against others.
@@ -324,10 +314,7 @@ class ModelScores:
         read, steps = self.read(model.hypothesis), self.motions.groundtruth.displacements
         given = self.read(model.hypothesis).motions.estimate.displacements @ model.axes.T
         rows = [
-            (
-                self._apart(steps, lie.rotate(worlds, given))[1]
-                / read.of_groundtruth.units[1][:, None]
-            ).T
+            (self._apart(steps, lie.rotate(worlds, given))[1] / read.truth.units[1][:, None]).T
             for worlds in (one, other)
         ]
         likelihoods = t_log_likelihood(np.stack(rows))[0].sum(axis=1)
@@ -350,7 +337,7 @@ class ModelScores:
             (1, rest),
             (0, read.rotations),
         ]
-        rows = np.stack([read.of_groundtruth.in_units(kind, one) for kind, one in kinds])
+        rows = np.stack([read.truth.in_units(kind, one) for kind, one in kinds])
         moving, related, turning = map(float, t_log_likelihood(rows)[0].sum(axis=1))
         if not self.motions.has_orientations:
             turning = 0.0

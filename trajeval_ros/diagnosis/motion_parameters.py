@@ -25,8 +25,6 @@ from trajeval_ros.geometry.arrays import Floats
 
 _ITERATIONS, _CONVERGED = 5, 1e-5  # of Gauss-Newton, and the last step in prior deviations
 _BLOCKS = 24  # of time, for the covariance: residuals within a block are correlated
-_MOST_ROTATION, _MOST_LOG_SCALE = 0.7, 1.0  # of one iteration, rad and logarithm
-_MOST_OFFSET_S, _MOST_RATE = 0.5, 0.05  # beyond, the derivatives by the clock are useless
 # Of the fit: it keeps directions near zero that the motion does not show, such as the height of
 # a vehicle's lever arm. A narrower prior would make all lever arms shorter.
 _LEVER_PRIOR_M = 2.0
@@ -148,17 +146,15 @@ class _GaussNewton:
         self.gradients = np.einsum("nka,nk->na", weighted, residuals) * self.weight
         from_prior = np.concatenate([np.zeros(4), self.rest]) * prior
         step = -np.linalg.solve(self.normal, self.gradients.sum(axis=0) + from_prior)
-        step[BODY] *= min(1.0, _MOST_ROTATION / (float(np.linalg.norm(step[BODY])) + 1e-12))
-        step[SCALE] = np.clip(step[SCALE], -_MOST_LOG_SCALE, _MOST_LOG_SCALE)
+        step = np.clip(step, -self.deviations, self.deviations)  # beyond, derivatives are useless
         self.body = lie.to_matrix(lie.from_rotation_vector(step[BODY])) @ self.body
         self.scale *= float(np.exp(step[SCALE].item()))
-        limits = np.array([*[np.inf] * 3, _MOST_OFFSET_S, _MOST_RATE])
-        self.rest = np.clip(self.rest + step[LEVER.start :], -limits, limits)
+        self.rest = self.rest + step[LEVER.start :]
         return float(np.abs(step / self.deviations).max())
 
     def _linearised(self) -> tuple[Floats, Floats]:
         """Return residuals (N, k) and their derivatives (N, k, 9)."""
-        rotations, displacements = self.read.groundtruth
+        rotations, displacements = self.read.truth.motions
         seconds, (*lever, offset_s, rate) = self.seconds[:, None], self.rest
         time = offset_s + rate * seconds
         predicted = (self.displacements + self.swing @ np.array(lever)) @ self.body.T
@@ -172,7 +168,7 @@ class _GaussNewton:
         rows, derivatives = [], []
         for kind in range(-len(kinds), 0):  # of the pairs of rotations and displacements
             (motion, estimated, jacobian), by_time = kinds[kind], self.rates[kind]
-            unit = self.read.of_groundtruth.units[kind][:, None]
+            unit = self.read.truth.units[kind][:, None]
             jacobian[:, :, BODY] = so3.skew(motion)
             by_rate = by_time * seconds
             jacobian[:, :, OFFSET], jacobian[:, :, RATE] = by_time[:, :, None], by_rate[:, :, None]

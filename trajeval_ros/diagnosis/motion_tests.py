@@ -7,12 +7,14 @@ so no test needs the result of another one, but for the clock, which selects the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.diagnosis import naming
 from trajeval_ros.diagnosis.clocks import Clock
+from trajeval_ros.diagnosis.column_tests import is_at_rest, rhythm, velocities
 from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, without_defects
 from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.hypotheses import (
@@ -31,7 +33,6 @@ from trajeval_ros.diagnosis.input_pair import (
     TimedPoses,
     lengths,
 )
-from trajeval_ros.diagnosis.input_tests import is_at_rest, rhythm, velocities
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores
 from trajeval_ros.diagnosis.motion_parameters import (
     OFFSET,
@@ -61,8 +62,8 @@ _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
 _STEPS_APART = 0.05  # of a step of the estimate, healthy offset of its timestamps
 
 
-def tests_of_motion(inputs: InputPair) -> list[TestResult]:
-    """Apply all tests of motions."""
+def tests_of_motion(inputs: InputPair, *, is_copied: bool) -> list[TestResult]:
+    """Apply all tests of motions. In an order of time, rows that are copied look like a rate."""
     groundtruth, estimate = inputs.in_order
     if min(groundtruth.span_s, estimate.span_s) < SHORTEST_S or len(estimate) < FEWEST:
         return [TestResult("motions", why_not=f"a side is shorter than {SHORTEST_S:g} s")]
@@ -77,14 +78,14 @@ def tests_of_motion(inputs: InputPair) -> list[TestResult]:
         has_defects = bool(defects.seen)
         if has_defects:
             groundtruth = without_defects(groundtruth)
-        clock = Clock.between(groundtruth, estimate, searches_rate=not has_defects)
+        clock = Clock.between(groundtruth, estimate, searches_rate=not (has_defects or is_copied))
         estimate = estimate.shifted(0.0, clock.factor - 1.0)
     motions = ShortMotions.between(groundtruth, estimate, gap_s, clock.offset_s)
-    comparison = _Comparison(inputs, groundtruth, estimate, motions, clock, gap_s, has_defects)
-    if len(motions) < FEWEST:
-        return [*examined, comparison.of_few_motions()]
-    of_velocities = velocities(groundtruth, estimate.shifted(clock.offset_s))
-    return [*examined, of_velocities, *comparison.results()]
+    if len(motions) >= FEWEST:
+        examined.append(velocities(groundtruth, estimate.shifted(clock.offset_s)))
+    sides = groundtruth, estimate
+    comparison = _Comparison(inputs, *sides, motions, clock, gap_s, has_defects)
+    return [*examined, *comparison.results()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,43 +100,33 @@ class _Comparison:
     max_gap_s: float
     has_defects: bool  # of the groundtruth, which shift the motions by a part of a second
 
-    def of_few_motions(self) -> TestResult:
-        """Return the result if the groundtruth has gaps nearly everywhere."""
-        match = self.clock.match
-        if match is None or not self._rates_are_unrelated(match.peak) or is_at_rest(self.inputs):
-            why_not = "too few short motions have groundtruth"
-            return replace(self._clock_result(), test="models", scores={}, why_not=why_not)
-        return TestResult(
-            "models", {"peak": match.peak}, (Detection.of("other_run", peak=match.peak),)
-        )
-
     def results(self) -> list[TestResult]:
         """Return the results of all tests."""
+        match = self.clock.match
+        if len(self.motions) < FEWEST:
+            is_apart = match is not None and self._rates_are_unrelated(match.peak)
+            few = TestResult("models", why_not="too few short motions have groundtruth")
+            return [self._clock_result(), self._unrelated({}) if is_apart else few]
         scores = ModelScores(self.motions)
         models = scores.likeliest(HYPOTHESES)
-        as_read, best = (
-            max(some, key=lambda model: model.score)
-            for some in ([one for one in models if one.cause == AS_READ], models)
-        )
-        unrelated = scores.unrelated
+        as_read = _best(model for model in models if model.cause == AS_READ)
+        best, unrelated = _best(models), scores.unrelated
         oriented = self.motions.has_orientations
-        true_rotations = lengths(scores.read(HYPOTHESES[0]).groundtruth[0])
+        true_rotations = lengths(scores.read(HYPOTHESES[0]).truth.motions[0])
         rotates = oriented and median(true_rotations) > _AT_REST_RAD
         if rotates and self._may_be_euler(scores, best):
             models += scores.likeliest(EULER_HYPOTHESES)
-            best = max(models, key=lambda model: model.score)
+            best = _best(models)
         related = max(best.log_likelihood, unrelated.positions) - unrelated.motions
-        nats = related / scores.evidence
         statistics = {
             "as_read": as_read.score - unrelated.motions,
             "best": best.score - unrelated.motions,
             "positions_alone": unrelated.positions - unrelated.motions,
-            "nats_per_motion": nats,
+            "nats_per_motion": related / scores.evidence,
         }
-        match = self.clock.match
         # Few independent directions can agree at random, and rates of motion hardly can.
         is_apart = match is not None and self._rates_are_unrelated(match.highest)
-        if nats < (2.0 if is_apart else 1.0) * AGREE_NATS:
+        if related < (2.0 if is_apart else 1.0) * AGREE_NATS * scores.evidence:
             return [self._clock_result(), self._unrelated(statistics, is_apart=is_apart)]
         if rotates and unrelated.positions + MISTAKE > best.score + ODDS:
             seen = (naming.rotations(scores),)
@@ -146,7 +137,7 @@ class _Comparison:
             conventions = (naming.convention(scores, best, models, as_read),)
         else:
             best = as_read
-        agrees = (best.log_likelihood - unrelated.motions) / scores.evidence > AGREE_NATS
+        agrees = best.log_likelihood - unrelated.motions > AGREE_NATS * scores.evidence
         parameters, scores = self._fitted(scores, best)
         results = [
             self._clock_result(parameters, states_rate=oriented and not conventions),
@@ -163,13 +154,12 @@ class _Comparison:
             results.append(vertical_axes(scores, best, parameters.body, self.inputs))
         if best.hypothesis.cause == ROTATIONS:
             return [*results, TestResult("bodies", why_not="rotations do not agree")]
-        of_bodies, bodies = naming.body_and_lever(scores, parameters, best)
-        return [*results, TestResult("bodies", of_bodies, tuple(bodies))]
+        return [*results, naming.body_and_lever(scores, parameters, best)]
 
-    def _rates_are_unrelated(self, correlation: float) -> bool:
+    def _rates_are_unrelated(self, correlation: float, least: float = _NO_PEAK) -> bool:
         """Return whether a correlation of rates of motion is that of another run."""
         match = self.clock.match
-        return match is not None and match.overlap_s > _LONG_S and correlation < _NO_PEAK
+        return match is not None and match.overlap_s > _LONG_S and correlation < least
 
     def _may_be_euler(self, scores: ModelScores, best: Model) -> bool:
         """Return whether directions of rotations fit worse than their lengths."""
@@ -177,24 +167,22 @@ class _Comparison:
         if best.cause not in _OF_DIRECTIONS or positions > best.score:
             return True
         read = scores.read(best.hypothesis)
-        rotations, unit = read.groundtruth[0], read.of_groundtruth.units[0]
+        rotations, unit = read.truth.motions[0], read.truth.units[0]
         apart = lengths(rotations - read.rotations @ best.body.T) / unit
         sizes_apart = np.abs(lengths(rotations) - lengths(read.rotations)) / unit
         return median(apart) > _MISFIT * (median(sizes_apart) + 0.01)
 
-    def _unrelated(self, statistics: dict[str, float], *, is_apart: bool) -> TestResult:
+    def _unrelated(self, statistics: dict[str, float], *, is_apart: bool = True) -> TestResult:
+        match, why_not = self.clock.match, "the motions do not agree"
         if is_at_rest(self.inputs):
             why_not = "both at rest; motions can't be compared"
-            return TestResult("models", statistics, why_not=why_not)
-        match = self.clock.match
-        if match is None or match.overlap_s <= _LONG_S:
-            is_apart = False
-        elif not is_apart:
+        elif match is not None:
             # The rates of one run correlate most without an offset, even if the estimate is bad.
-            is_apart = match.peak < _UNRELATED_PEAK and self.clock.is_far
-        if match is not None and is_apart:
-            return TestResult("models", statistics, (Detection.of("other_run", peak=match.peak),))
-        return TestResult("models", statistics, why_not="the motions do not agree")
+            is_far = self.clock.is_far and self._rates_are_unrelated(match.peak, _UNRELATED_PEAK)
+            if is_apart or is_far:
+                seen = Detection.of("other_run", peak=match.peak)
+                return TestResult("models", statistics, (seen,))
+        return TestResult("models", statistics, why_not=why_not)
 
     def _fitted(self, scores: ModelScores, model: Model) -> tuple[Parameters, ModelScores]:
         """Fit the parameters, a second time if the motions were sampled at wrong times."""
@@ -214,8 +202,7 @@ class _Comparison:
         self, parameters: Parameters | None = None, *, states_rate: bool = False
     ) -> TestResult:
         """Return the offset or the rate of the clock, by the fit if there is one."""
-        clock, match = self.clock, self.clock.match
-        span_s, applied_s = self.estimate.span_s / clock.factor, self.inputs.time_offset_s
+        clock, match, span_s = self.clock, self.clock.match, self.estimate.span_s
         if match is None:
             return TestResult("clocks", why_not="no timestamps, or too little common time")
         statistics = {
@@ -224,34 +211,39 @@ class _Comparison:
             "as_stamped": match.as_stamped,
             "log_odds": match.log_odds - match.log_odds_at_zero,
         }
-        if parameters is None:
-            coarse = clock.seen(clock.offset_s, clock.factor - 1.0, span_s, applied_s)
-            return TestResult("clocks", statistics, (coarse,) * clock.is_stated)
-        offset_s = clock.offset_s + parameters.offset_s
-        rate = clock.factor * (1.0 + parameters.rate) - 1.0
-        rows = {  # values, and healthy spreads of this run
-            "offset": (OFFSET, offset_s, _STEPS_APART * self.estimate.usual_step_s),
-            "rate": (RATE, parameters.rate, _WANDER_S / max(self.estimate.span_s, 1.0)),
-        }
-        odds = {}
-        for name, (column, value, least) in rows.items():
-            spread = Spread(max(SPREADS[name].healthy, least), SPREADS[name].mistake)
-            odds[name] = log_odds(np.array([value]), parameters.covariance[column, column], spread)
-        statistics |= {"fitted_offset_s": offset_s, "fitted_ppm": 1e6 * rate}
-        statistics |= {f"log_odds_of_{name}": value for name, value in odds.items()}
-        first_s = offset_s - parameters.rate * self.estimate.span_s / 2.0
-        # One rate explains an offset that grows from the first pose on.
-        grows = odds["offset"] > ODDS and odds["rate"] > TIE and 2.0 * abs(first_s) < abs(offset_s)
-        if self.has_defects:
-            odds, states_rate = dict.fromkeys(odds, -math.inf), False
-        if clock.factor != 1.0 or (states_rate and (odds["rate"] > ODDS or grows)):
-            seen, is_stated = clock.seen(first_s, rate, span_s, applied_s), True
-        else:
-            seen = clock.seen(offset_s, 0.0, span_s, applied_s)
-            is_stated = clock.is_stated or odds["offset"] > ODDS
+        offset_s, rate, is_stated = clock.offset_s, clock.factor - 1.0, clock.is_stated
+        if parameters is not None:
+            offset_s += parameters.offset_s
+            fitted = clock.factor * (1.0 + parameters.rate) - 1.0
+            rows = {  # values, and healthy spreads of this run
+                "offset": (OFFSET, offset_s, _STEPS_APART * self.estimate.usual_step_s),
+                "rate": (RATE, parameters.rate, _WANDER_S / max(span_s, 1.0)),
+            }
+            statistics |= {"fitted_offset_s": offset_s, "fitted_ppm": 1e6 * fitted}
+            odds = {}
+            for name, (column, value, least) in rows.items():
+                spread = Spread(max(SPREADS[name].healthy, least), SPREADS[name].mistake)
+                variance = parameters.covariance[column, column]
+                odds[name] = statistics[f"log_odds_of_{name}"] = log_odds(
+                    np.array([value]), variance, spread
+                )
+            first_s = offset_s - parameters.rate * span_s / 2.0
+            # One rate explains an offset that grows from the first pose on.
+            grows = odds["offset"] > ODDS and 2.0 * abs(first_s) < abs(offset_s)
+            has_rate = odds["rate"] > (TIE if grows else ODDS) and not self.has_defects
+            if (states_rate and has_rate) or rate:
+                offset_s, rate, is_stated = first_s, fitted, True
+            else:
+                is_stated = is_stated or (odds["offset"] > ODDS and not self.has_defects)
+        applied_s = self.inputs.protocol.association.time_offset_s
+        seen = clock.seen(offset_s, rate, span_s / clock.factor, applied_s)
         return TestResult("clocks", statistics, (seen,) * is_stated)
 
     def _scale_result(self, scale: float, variance: float) -> TestResult:
         statistics = {"scale": scale, "sigma_of_log": math.sqrt(variance)}
         seen = naming.unit_or_scale(scale, variance, self.motions, self.inputs.gauge)
-        return TestResult("scale", statistics, tuple(seen))
+        return TestResult("scale", statistics, seen)
+
+
+def _best(models: Iterable[Model]) -> Model:
+    return max(models, key=lambda model: model.score)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Detection, Finding, Value
+from trajeval_ros.diagnosis.findings import Detection, Finding, TestResult, Value
 from trajeval_ros.diagnosis.hypotheses import (
     AS_READ,
     BOTH,
@@ -21,7 +21,7 @@ from trajeval_ros.diagnosis.hypotheses import (
     ROTATIONS,
     TIE,
 )
-from trajeval_ros.diagnosis.input_pair import lengths
+from trajeval_ros.diagnosis.input_pair import lengths, other_side
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores
 from trajeval_ros.diagnosis.motion_parameters import BODY, LEVER, SPREADS, Parameters, log_odds
 from trajeval_ros.diagnosis.short_motions import ShortMotions
@@ -35,13 +35,12 @@ from trajeval_ros.metrics.statistics import median
 # Rotations of a body within this angle of other axes are stated as these axes.
 _EXACT_AXES_DEG = 3.0
 _TILTS_APART_DEG = 20.0  # that gravity distinguishes; less is drift
-_LEAST_LEVER_M = 0.02  # shorter lever arms have no effect worth a statement
 _UNITS = {
     "millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048, "kilometres": 1e3
 }  # fmt: skip
 # The scale of a monocular estimate is often as near to a foot of the groundtruth.
-_FOOT_SPREAD, _FOOT_ODDS = 0.01, 2.5
-_LEAST_LOG_SCALE, _DIVERGED = 0.2, math.log(1e4)  # a scale error, and one that no unit has
+_FOOT, _FOOT_SPREAD, _FOOT_ODDS = (GROUNDTRUTH, "feet"), 0.01, 2.5
+_DIVERGED = math.log(1e4)  # a scale that no unit has
 _FAST_M = 200.0  # per motion: no body that is localised is as fast, so the unit is smaller
 # Ratios of the sums of rotation angles: of another unit, and of constant orientations.
 _OTHER_UNIT, _CONSTANT = 0.1, 1e-3
@@ -120,7 +119,7 @@ def rotations(scores: ModelScores, detail: str = "") -> Detection:
     read = scores.read(HYPOTHESES[0])
     groundtruth, estimate = (
         max(float(np.minimum(lengths(vectors), math.pi).sum()), 1e-12)
-        for vectors in (read.groundtruth[0], read.rotations)
+        for vectors in (read.truth.motions[0], read.rotations)
     )
     ratio = estimate / groundtruth
     how, check = "in no convention", "order and signs of Euler angles; a compass is clockwise"
@@ -152,7 +151,7 @@ def _axes_options(scores: ModelScores, model: Model) -> list[tuple[float, str]]:
         return math.degrees(math.acos(min(max(float(rotated[2]), -1.0), 1.0)))
 
     options = [(tilt_deg(np.eye(3)[2]), f"positions={_axes(axes)}")]
-    if not model.is_mirrored:  # the rotations may have been converted
+    if np.linalg.det(axes) > 0.0:  # the rotations may have been converted
         options.append((tilt_deg(axes[:, 2]), f"rotations={_axes(axes.T)}"))
     return options
 
@@ -178,90 +177,76 @@ def _axes(permutation: Floats) -> str:
 
 def unit_or_scale(
     scale: float, variance: float, motions: ShortMotions, gauge: Gauge
-) -> list[Detection]:
+) -> tuple[Detection, ...]:
     """Return the finding that the unit or the scale of a side differs, if any.
 
     `scale`: groundtruth metres per unit of the estimate, with the variance of its logarithm.
     """
     log, spread = math.log(scale), SPREADS["scale"]
-    steps = {
+    sizes = {
         ESTIMATE: lengths(motions.estimate.displacements),
         GROUNDTRUTH: lengths(motions.groundtruth.displacements),
     }
     if abs(log) > _DIVERGED:
-        true_m, moved_m = float(steps[GROUNDTRUTH].sum()), float(steps[ESTIMATE].sum())
-        return [Detection.of("diverged_at_start", until="", true_m=true_m, moved_m=moved_m)]
-    is_fast = {
-        side: median(sizes[sizes >= median(sizes)]) > _FAST_M for side, sizes in steps.items()
-    }
-    healthy = _log_density(log, variance + spread.healthy**2)
-    any_scale = _log_density(log, variance + spread.mistake**2) + MISTAKE
-    densities: dict[tuple[str, str], float] = {}
-    for (side, other), unit in itertools.product(itertools.permutations(steps), _UNITS):
+        true_m, moved_m = (float(sizes[side].sum()) for side in (GROUNDTRUTH, ESTIMATE))
+        return (Detection.of("diverged_at_start", until="", true_m=true_m, moved_m=moved_m),)
+    is_fast = {side: median(some[some >= median(some)]) > _FAST_M for side, some in sizes.items()}
+
+    def density(apart: float, deviation: float) -> float:
+        """Return the logarithm of the density of a difference of logarithms."""
+        total = variance + deviation**2
+        return -0.5 * math.log(2.0 * math.pi * total) - 0.5 * apart**2 / total
+
+    units = {
+        (side, unit): density(  # with the spreads of units and of estimates
+            (log if side == ESTIMATE else -log) - math.log(metres),
+            _FOOT_SPREAD if (side, unit) == _FOOT else math.sqrt(2.0) * spread.healthy,
+        )
+        + MISTAKE
+        - math.log(len(_UNITS))
+        for side, (unit, metres) in itertools.product(sizes, _UNITS.items())
         # Millimetres of a side are kilometres of the other one.
-        if (unit == "millimetres" and not is_fast[side]) or (
-            unit == "kilometres" and is_fast[other]
-        ):
-            continue
-        spread_of_unit = 2.0 * spread.healthy**2  # of units, and of estimates
-        if (unit, side) == ("feet", GROUNDTRUTH):
-            spread_of_unit = _FOOT_SPREAD**2
-        apart = (log if side == ESTIMATE else -log) - math.log(_UNITS[unit])
-        prior = MISTAKE - math.log(len(_UNITS))
-        densities[unit, side] = _log_density(apart, variance + spread_of_unit) + prior
-    unit, side = max(densities, key=lambda key: densities[key])
-    is_foot = (unit, side) == ("feet", GROUNDTRUTH)
-    more_than_scale = any_scale + (_FOOT_ODDS if is_foot else 1.0)
-    is_unit = densities[unit, side] > max(healthy + ODDS, more_than_scale)
+        if (unit != "millimetres" or is_fast[side])
+        and (unit != "kilometres" or not is_fast[other_side(side)])
+    }
+    side, unit = likeliest = max(units, key=units.__getitem__)
+    healthy, any_scale = density(log, spread.healthy), density(log, spread.mistake) + MISTAKE
+    more_than_scale = any_scale + (_FOOT_ODDS if likeliest == _FOOT else 1.0)
+    is_unit = units[likeliest] > max(healthy + ODDS, more_than_scale)
     # An alignment with scale hides the unit of the estimate, and that of a slow groundtruth.
     if gauge.has_scale:
         is_unit = is_unit and side == GROUNDTRUTH and is_fast[GROUNDTRUTH]
-    if is_unit and not is_foot:
-        factor = f"{_UNITS[unit]:g}"
-        return [Detection("unit", {"scale": scale, "side": side, "unit": unit, "factor": factor})]
-    is_scale = abs(log) >= _LEAST_LOG_SCALE and any_scale - healthy >= ODDS + MISTAKE
-    if not is_unit and (gauge.has_scale or not is_scale):
-        return []
-    values: dict[str, Value] = {"or_feet": "", "or_convert": "", "gauge": "sim3"}
-    if is_unit:
+    values: dict[str, Value] = {"scale": scale, "or_feet": "", "or_convert": "", "gauge": "sim3"}
+    if is_unit and likeliest == _FOOT:
         convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
-        values = {"or_feet": ", or with groundtruth in feet", "or_convert": convert, "gauge": ""}
-    return [Detection("scale", {"scale": scale, **values})]
+        feet = ", or with groundtruth in feet"
+        values |= {"or_feet": feet, "or_convert": convert, "gauge": ""}
+    elif is_unit:
+        factor = f"{_UNITS[unit]:g}"
+        return (Detection.of("unit", scale=scale, side=side, unit=unit, factor=factor),)
+    elif gauge.has_scale or any_scale - healthy < ODDS + MISTAKE:
+        return ()
+    return (Detection("scale", values),)
 
 
-def _log_density(value: float, variance: float) -> float:
-    return -0.5 * math.log(2.0 * math.pi * variance) - 0.5 * value**2 / variance
-
-
-def body_and_lever(
-    scores: ModelScores, parameters: Parameters, model: Model
-) -> tuple[dict[str, float], list[Detection]]:
-    """Return statistics and findings about the body, with the pose that corrects them.
+def body_and_lever(scores: ModelScores, parameters: Parameters, model: Model) -> TestResult:
+    """Test the rotation of the body and the lever arm, with the pose that corrects them.
 
     The correction is the pose of the groundtruth's body in the estimate's, T_B_M.
     """
     matrix, covariance = parameters.body, parameters.covariance
-    if model.is_mirrored and (model.axes == -np.eye(3)).all():
+    if model.mirrors_poses:
         matrix = matrix @ -mirror_of(scores, model).T  # what the mirror leaves
     rotation, lever = lie.rotation_vector(lie.from_matrix(matrix)), parameters.values[LEVER]
-    statistics = {
-        "angle_deg": math.degrees(float(lengths(rotation))),
-        "lever_m": float(lengths(lever)),
-        "log_odds_of_body": log_odds(rotation, covariance[BODY, BODY], SPREADS["body"]),
-        "log_odds_of_lever": log_odds(lever, covariance[LEVER, LEVER], SPREADS["lever"]),
-    }
-    angle_deg, lever_m = statistics["angle_deg"], statistics["lever_m"]
-    is_rotated = statistics["log_odds_of_body"] > ODDS
-    has_lever = statistics["log_odds_of_lever"] > ODDS and lever_m > _LEAST_LEVER_M
+    angle_deg, lever_m = math.degrees(float(lengths(rotation))), float(lengths(lever))
+    odds = log_odds(rotation, covariance[BODY, BODY], SPREADS["body"])
+    lever_odds = log_odds(lever, covariance[LEVER, LEVER], SPREADS["lever"])
+    is_rotated, has_lever = odds > ODDS, lever_odds > ODDS
     nearest = PROPER[int(np.einsum("qij,ij->q", PROPER, matrix).argmax())]
-    off = float(lie.angle(lie.from_matrix(matrix @ nearest.T)))
-    if math.degrees(off) < _EXACT_AXES_DEG:
+    if math.degrees(float(lie.angle(lie.from_matrix(matrix @ nearest.T)))) < _EXACT_AXES_DEG:
         matrix = nearest
     # x, y, z, qx, qy, qz, qw
-    numbers = [
-        *(lever if has_lever else np.zeros(3)),
-        *lie.from_matrix(matrix.T if is_rotated else np.eye(3)),
-    ]
+    numbers = [*(lever * has_lever), *lie.from_matrix(matrix.T if is_rotated else np.eye(3))]
     pose = ",".join(f"{one + 0.0:.5g}" if abs(one) > 1e-6 else "0" for one in numbers)
     seen = []
     if is_rotated:
@@ -270,7 +255,9 @@ def body_and_lever(
     if has_lever:
         sigma_m = _sigma_of_length(lever, covariance[LEVER, LEVER])
         seen.append(Detection.of("lever_arm", lever_m=lever_m, sigma_m=sigma_m, pose=pose))
-    return statistics, seen
+    names = "angle_deg", "lever_m", "log_odds_of_body", "log_odds_of_lever"
+    statistics = dict(zip(names, (angle_deg, lever_m, odds, lever_odds), strict=True))
+    return TestResult("bodies", statistics, tuple(seen))
 
 
 def _sigma_of_length(vector: Floats, covariance: Floats) -> float:

@@ -10,17 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.diagnosis.input_pair import FEWEST, SAMPLE, TimedPoses
+from trajeval_ros.diagnosis.input_pair import SAMPLE, TimedPoses
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory_edits import evenly
-from trajeval_ros.metrics.statistics import median
 
-MOTION_COUNT = 400  # largest number of motions, which bounds the cost
 MOTION_S = 1.5  # duration: noise matters in shorter motions, and drift in longer ones
 DERIVATIVE_S = 0.05  # half the interval of a numerical derivative by the time offset
-# A step of so many median steps is a jump; more jumps than the second number are usual motion.
-_JUMP_STEPS, _MOST_JUMPS = 30.0, 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,31 +92,18 @@ class ShortMotions:
         mapped = times + offset_s + rate * (times - middle_s)
         first, last = np.searchsorted(mapped, groundtruth.seconds[[0, -1]])
         count = max(int(last - first), 0)
-        start = first + evenly(count, min(count, MOTION_COUNT))
+        start = first + evenly(count, min(count, SAMPLE))
         end = np.searchsorted(times, times[start] + 0.999 * duration_s)
         start, end = start[end < last], end[end < last]
         fits = times[end] - times[start] < 2.0 * duration_s + 0.2
-        rows = _without_jumps(np.stack([start[fits], end[fits]]), estimate)
+        rows = np.stack([start[fits], end[fits]])
         at = np.stack([mapped[rows] + late_s for late_s in (0.0, DERIVATIVE_S, -DERIVATIVE_S)])
         poses = groundtruth.at(at.ravel(), max_gap_s)
         known = poses.known.reshape(at.shape)[0].all(axis=0)
         rows, columns, quaternions = rows[:, known], [poses.positions], None
         if poses.quaternions is not None and estimate.quaternions is not None:
             columns, quaternions = [*columns, poses.quaternions], estimate.quaternions[rows]
-        by_time = [column.reshape(*at.shape, -1)[:, :, known] for column in columns]
+        by_time = [item.reshape(*at.shape, item.shape[-1])[:, :, known] for item in columns]
         around = tuple(PoseEnds(*(column[k] for column in by_time)) for k in range(len(at)))
         seconds = times[rows].mean(axis=0) - middle_s
         return cls(seconds, around, PoseEnds(estimate.positions[rows], quaternions), duration_s)
-
-
-def _without_jumps(rows: Indices, estimate: TimedPoses) -> Indices:
-    """Return the motions (2, N), rows of the estimate, that include no jump."""
-    if not rows.size:
-        return rows
-    steps = estimate.moved
-    is_jump = steps > _JUMP_STEPS * median(steps[evenly(len(steps), SAMPLE)])
-    jumps_before = np.concatenate([[0], np.cumsum(is_jump)])
-    if not 0 < jumps_before[-1] <= _MOST_JUMPS:
-        return rows
-    smooth = jumps_before[rows[0]] == jumps_before[rows[1]]
-    return rows[:, smooth] if np.count_nonzero(smooth) >= FEWEST else rows

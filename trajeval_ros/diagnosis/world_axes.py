@@ -21,9 +21,7 @@ from trajeval_ros.metrics.statistics import median
 _TEST = "vertical axes"
 _PARTS = 8  # of the run, whose spread gives the covariance of a direction
 _AXIS_DEG = 5.0  # largest angle to an axis of the frame that is named as the vertical one
-_SHARED_AXIS = math.cos(math.radians(12.0))  # the same, if the body rotates about it in both
-_NEAR_AXIS = math.cos(math.radians(20.0))  # the same, of an axis that the groundtruth itself shows
-_ROTATES_ABOUT = 0.9  # cosine between an axis and the axis of rotation
+_NEAR_AXIS = math.cos(math.radians(20.0))  # the same, of an axis of rotation or of both frames
 _CALLED = {"-y": ", as in a camera's (x right, y down, z forward)", "-z": ", as in NED"}
 
 
@@ -142,10 +140,10 @@ def _vertical_of_both(
     read = scores.read(model.hypothesis)
     start = read.motions.groundtruth.quaternions
     assert start is not None
-    rotations = bounded(lie.rotate(start[0], read.groundtruth[0]))
+    rotations = bounded(lie.rotate(start[0], read.truth.motions[0]))
     about = np.abs(np.linalg.eigh(rotations.T @ rotations)[1][:, -1])
     for row in (0, 1):
-        if abs(matrix[row, row]) > _SHARED_AXIS and about[row] > _ROTATES_ABOUT:
+        if abs(matrix[row, row]) > _NEAR_AXIS and about[row] > _NEAR_AXIS:
             return _sideways(row, matrix, inputs)
     return None
 
@@ -159,7 +157,7 @@ def _sideways(row: int, matrix: Floats, inputs: InputPair) -> Detection:
         f"the body turns about {up.lstrip('-')}; set --up={down} or --up={up}"
     )
     direction = -_unit(matrix[row])
-    has_axis = float(np.abs(direction).max()) > _SHARED_AXIS
+    has_axis = float(np.abs(direction).max()) > _NEAR_AXIS
     ups = f"{down},{_in_file(nearest_axis(direction), up_of_estimate)}" if has_axis else ""
     return Detection.of("groundtruth_up_axis", text=text, ups=ups, gauge="" if has_axis else "se3")
 

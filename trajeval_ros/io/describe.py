@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.diagnosis.input_tests import is_named_groundtruth
+from trajeval_ros.diagnosis.column_tests import is_named_groundtruth
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.fixes import quality_of

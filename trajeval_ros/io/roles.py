@@ -28,7 +28,7 @@ _PREFERRED = re.compile(r"(?<![a-z])(gt|(ground.?)?truth)(?![a-z])", re.IGNORECA
 # Sensors by words in an estimate's topic; the first match applies.
 _WORDS = (
     ("lidar-inertial", r"lio|lvi|fast_?lio"),
-    ("lidar", r"loam|kiss|lidar|icp|ndt|hdl|cartographer"),
+    ("lidar", r"loam|kiss|lidar|g?icp|ndt|hdl|cartographer"),
     ("stereo-inertial", r"vio|vins|openvins|ov_msckf|msckf|rovio|okvis|basalt|kimera"),
     ("rgbd", r"rtabmap|rgbd"),
     ("wheel", r"wheels?|diff_?drive|velocity_controller|ackermann|encoders?"),

@@ -103,20 +103,20 @@ def _about_jumps(own: OwnError, of: int) -> Iterator[Remark]:
         yield warning(
             "fixes_jump",
             f"{counted(own.jumps, 'fix', 'fixes')} in jumps common to all {of} estimates, caused "
-            "by the receiver (multipath): included in the ATE, excluded from the own error",
+            "by the receiver (multipath): included in the ATE, not in the noise-corrected ATE",
         )
     elif own.jumps:
         yield warning(
             "fixes_jump",
             f"{counted(own.jumps, 'fix', 'fixes')} in jumps away from the estimate and back: "
-            "included in the ATE, excluded from the own error; add a second estimate to "
+            "included in the ATE, not in the noise-corrected ATE; add a second estimate to "
             "identify the cause",
         )
     if own.own_jumps:
         yield warning(
             "estimate_jumps",
             f"at {counted(own.own_jumps, 'fix', 'fixes')} only this estimate jumps, and others "
-            "do not: included in its own error",
+            "do not: included in its noise-corrected ATE",
         )
 
 

@@ -251,15 +251,15 @@ def _drift(evaluation: Evaluation) -> str:
 
 
 def own_error_line(own: OwnError) -> str:
-    """Return the line about an estimate's own error, without the noise of fixes."""
+    """Return the line about the noise-corrected ATE, without the noise of fixes."""
     independent = significant(own.effective_fixes, 2)
     worth = f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {independent} independent fixes"
     guess = ", from approximate covariances of the driver" if own.by_guess else ""
     low, high = own.interval_m
     if own.resolved:
         said = (
-            f"  own error {own.ate_m:.3g} m (95 % interval {low:.3g} to {high:.3g} m); {worth} "
-            f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+            f"  noise-corrected ATE {own.ate_m:.3g} m (95 % interval {low:.3g} to {high:.3g} m); "
+            f"{worth} (correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
         )
     else:
         why = (
@@ -268,8 +268,8 @@ def own_error_line(own: OwnError) -> str:
             else "the fixes have too much noise"
         )
         said = (
-            f"  own error below {high:.3g} m (95 %), no lower limit since {why}; {worth} "
-            f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+            f"  noise-corrected ATE below {high:.3g} m (95 %), no lower limit since {why}; "
+            f"{worth} (correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
         )
     return said + guess
 

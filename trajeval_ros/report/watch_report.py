@@ -40,7 +40,7 @@ _RESERVE = 1.4
 # No events in n hours: the rate is at most this / n per hour, at 95 %.
 _RULE_OF_THREE = 3.0
 _GAP_S = 2.0
-_MOST_CURVES = 6
+_MOST_CURVES, _MOST_EVENTS = 6, 6
 _NARROWEST_ALARM_S = 0.1
 
 
@@ -79,6 +79,19 @@ def signal_rows(seen: Watched, book: AlarmBook) -> list[tuple[str, ...]]:
             )
         )
     return rows
+
+
+def events_line(seen: Watched) -> str:
+    """Return the discontinuities, or the largest of many, with their times and sizes."""
+    events = sorted(seen.events, key=lambda event: event.ratio)[-_MOST_EVENTS:]
+    texts = [
+        f"{event.kind.replace('_', ' ')}{' of ' * bool(event.size)}{event.size} at "
+        f"{(event.t_ns - seen.origin) / NANOSECONDS:.2f} s"
+        for event in sorted(events, key=lambda event: event.t_ns)
+    ]
+    rest = len(seen.events) - len(texts)
+    more = f" and {rest} smaller" if rest else ""
+    return f"discontinuities: {', '.join(texts)}{more}"
 
 
 def factor_line(seen: Watched, book: AlarmBook) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from trajeval_ros.ros.parameter_table import PARAMETERS
+from trajeval_ros.ros.parameter_table import PARAMETERS, SERVICES
 
 _LIST = "\n".join(
     f"* `{parameter.name}` "
@@ -27,6 +27,7 @@ Parameters and defaults:
 {_LIST}
 
 The node publishes errors, the alignment and aligned paths in `~/ESTIMATE/`, and `/diagnostics`.
-Its services are `~/save` and `~/reset`. It writes states, result.json, errors.npz and figures to
-the output folder. Stop it with Ctrl-C. After a crash, run `trajeval finish FOLDER`.
+Its services are {", ".join(f"`{name}`" for name in SERVICES)}. It writes states,
+result.json, errors.npz and figures to the output folder. Stop it with Ctrl-C. After a crash, run
+`trajeval finish FOLDER`.
 """

@@ -122,14 +122,13 @@ class LiveWatch:
 
     def _take_estimate(self, kind: str, taken: ReceivedMessages, arrived: Stamps) -> Signals:
         found = _poses(self._estimate, kind, taken, arrived)
-        stamps, positions, quaternions, velocities, covariances = found
+        stamps, positions, quaternions, velocities, covariances, received = found
         up = self._estimate.up(None).matrix[2]
         self.watchdog.add_covariances(stamps, covariances, up)
         if np.isfinite(velocities).any():
             self._needs.add("twist")
-        return self.watchdog.add_states(
-            stamps, positions, quaternions, lie.rotate(lie.conjugate(quaternions), velocities)
-        )
+        body = lie.rotate(lie.conjugate(quaternions), velocities)
+        return self.watchdog.add_states(stamps, positions, quaternions, body, received)
 
     def _keep_latest(self, signals: Signals) -> None:
         """Keep the largest value of every signal in its latest second."""
@@ -159,10 +158,16 @@ class LiveWatch:
         signal = signal_of(alarm.signal)
         peak, limit = (with_unit(item, signal.unit) for item in (alarm.peak, alarm.limit))
         begin_ns = self.watchdog.origin + round(alarm.begin_s * NANOSECONDS)
+        sizes = [
+            f" of {item.event.size},"
+            for item in self.watchdog.events
+            if item.kind == alarm.signal and item.known_ns <= begin_ns and item.event.size
+        ]
+        size = sizes[-1] if sizes else ""
         return Remark(
             Level.ERROR if self.book.is_error(alarm) else Level.WARNING,
             "alarm",
-            f"{alarm.signal} {peak} is over {limit}: {signal.words}",
+            f"{alarm.signal}{size} {peak} is over {limit}: {signal.words}",
             alarm.signal,
             {
                 "value": alarm.peak,
@@ -189,11 +194,11 @@ class LiveWatch:
 
 def _poses(
     stream: PoseStream, kind: str, taken: ReceivedMessages, arrived: Stamps
-) -> tuple[Stamps, Floats, Floats, Floats, Floats]:
+) -> tuple[Stamps, Floats, Floats, Floats, Floats, Stamps | None]:
     """Return the usable poses of messages.
 
-    Timestamps (N,), positions (N, 3), quaternions (N, 4), world velocities (N, 3), and rotation
-    covariances (N, 3, 3), zeros if they are unknown.
+    Timestamps (N,), positions (N, 3), quaternions (N, 4), world velocities (N, 3), rotation
+    covariances (N, 3, 3), zeros if they are unknown, and times of reception (N,).
     """
     if kind == PATH_TYPE:
         raise InputError(
@@ -204,10 +209,12 @@ def _poses(
     if states.quaternions is None:
         states = states[:0]
     count, covariances = len(states), states.covariances
+    receptions = states.reading.receptions
     return (
         states.stamps,
         states.positions,
         states.known_quaternions,
         np.full((count, 3), np.nan) if states.velocities is None else states.velocities,
         np.zeros((count, 3, 3)) if covariances is None else covariances[:, 3:, 3:],
+        None if receptions is None else receptions.times,
     )

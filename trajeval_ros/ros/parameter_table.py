@@ -125,21 +125,18 @@ PARAMETERS = (
         NodeParameter(
             f"limits_{name}",
             "",
-            f"Limits{unit and f', in {unit},'} of the largest {words} since the last status, as "
-            "in 0.5,1.0. Above the first one diagnostics warn, above the second one they report "
-            "an error. One number: the limit for errors. 0 or empty: no limit.",
+            f"Limits{unit and f', in {unit},'} of the largest {words} since the last status, for "
+            "warnings and errors, as in 0.5,1.0; one number is for errors. 0 or empty: no limit.",
             is_live=True,
         )
         for name, words, unit in LIMITED_QUANTITIES
     ),
     NodeParameter("limits_rate_hz", "",
-        "Rates of the estimate's messages, in Hz, as in 18,10: below the first one diagnostics "
-        "warn, below the second one they report an error. One number: the limit for errors. "
-        "Empty: no limit.",
+        "Lower limits of the rate of the estimate's messages, in Hz, for warnings and errors, as "
+        "in 18,10; one number is for errors. Empty: no limit.",
         is_live=True),
     NodeParameter("limits_coverage", "0.9,0.5",
-        "Fractions of the estimate's poses with groundtruth, or of fixes and points with an "
-        "estimate: below the first one diagnostics warn, below the second one they report an "
-        "error. One number: the limit for errors.",
+        "Lower limits of the fraction of the estimate's poses with groundtruth, or of fixes and "
+        "points with an estimate, for warnings and errors; one number is for errors.",
         is_live=True),
 )  # fmt: skip

@@ -39,6 +39,7 @@ _KINDS = {
 _LIMIT = "limit"
 _MOST_POINTS, _MOST_ROWS, _MOST_NUMBERS = 50_000, 2000, 20_000
 _MOST_POSES = 3000
+_SHORTEST_S = 0.1  # of an alarm in a lane: that of a jump has no duration
 
 
 def write_watch(path: Path, estimate: Trajectory, seen: Watched, book: AlarmBook) -> None:
@@ -132,7 +133,7 @@ def _tell(recording: Any, seen: Watched, book: AlarmBook) -> None:
         lane = changes.setdefault(alarm.signal, [(seen.armed_s, OK)])
         lane.append((alarm.begin_s, ERROR if book.is_error(alarm) else WARNING))
         if alarm.is_over:
-            lane.append((alarm.last_s, OK))
+            lane.append((max(alarm.last_s, alarm.begin_s + _SHORTEST_S), OK))
             say(alarm.last_s, f"{alarm.signal} is below its limit again", warn=False)
     for signal, lane in changes.items():
         stamps = _stamps(seen, np.array([seconds for seconds, _ in lane]))

@@ -15,10 +15,12 @@ from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.absolute_errors import lengths
+from trajeval_ros.metrics.discontinuities.one_stream import KnownEvent
+from trajeval_ros.watchdog.event_signals import EventSignals
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
 from trajeval_ros.watchdog.inertial_signals import InertialSignals
 from trajeval_ros.watchdog.pair_signals import PairSignals
-from trajeval_ros.watchdog.pose_signals import CorrectionSignals, PoseSignals
+from trajeval_ros.watchdog.pose_signals import CorrectionSignals, SmoothSignal
 from trajeval_ros.watchdog.row_buffer import (
     POSE_WIDTH,
     POSITION,
@@ -68,7 +70,8 @@ class Watchdog:
         self._feeds = {name: OrderedFeed() for name in ("states", *widths)}
         self._states = RowBuffer(STATE_WIDTH)
         self._waiting = {name: RowBuffer(width) for name, width in widths.items()}
-        self._pose: PoseSignals | None = None
+        self._events: EventSignals | None = None
+        self._smooth: SmoothSignal | None = None
         self._twist: TwistSignals | None = None
         self._others: dict[str, InertialSignals | CorrectionSignals | PairSignals] = {}
         self._counted_s = -np.inf
@@ -95,6 +98,11 @@ class Watchdog:
         return self._yaw.remark if np.isfinite(self._feeds["imu"].last) else None
 
     @property
+    def events(self) -> list[KnownEvent]:
+        """The newest discontinuities of the estimate that are known since arming."""
+        return [] if self._events is None else list(self._events.known)
+
+    @property
     def out_of_order(self) -> int:
         """Number of states dropped, because their timestamps did not increase."""
         return self._feeds["states"].out_of_order
@@ -116,11 +124,13 @@ class Watchdog:
         positions: Floats,
         quaternions: Floats,
         body_velocities: Floats | None = None,
+        received: Stamps | None = None,
     ) -> Signals:
         """Add states of the estimate; return the signals that they determine.
 
         `stamps`: (N,), ns. `positions`: (N, 3), metres. `quaternions`: (N, 4), xyzw, unit.
         `body_velocities`: (N, 3), m/s, in the body frame; None if messages have no twist.
+        `received`: (N,), ns, times of reception; None if unknown.
         """
         if not len(stamps):
             return {}
@@ -130,28 +140,45 @@ class Watchdog:
         unknown = np.full((len(stamps), 3), np.nan)
         columns = [positions, quaternions, unknown if body_velocities is None else body_velocities]
         if not len(back):
-            return self._add_in_order(seconds, *columns)
+            return self._add_in_order(stamps, received, *columns)
         first = int(back[0])
-        before = self._add_in_order(seconds[:first], *(column[:first] for column in columns))
+        early, late = (
+            None if received is None else received[rows]
+            for rows in (slice(first), slice(first, None))
+        )
+        before = self._add_in_order(stamps[:first], early, *(item[:first] for item in columns))
         self.restarts += 1
         self._told.append(
             f"the estimate's timestamps step back by {latest[first] - seconds[first]:.1f} s: the "
             "estimator restarted, and the watch restarts"
         )
         self._begin()
-        after = self.add_states(stamps[first:], *(column[first:] for column in columns))
+        positions, quaternions, velocities = (item[first:] for item in columns)
+        after = self.add_states(stamps[first:], positions, quaternions, velocities, late)
         return joined([before, after])
 
     def add_covariances(self, stamps: Stamps, covariances: Floats, up: Floats) -> None:
         """Add covariances of the states that come next, as `YawInformation.add` takes them."""
         self._yaw.add(stamps, covariances, up)
 
-    def _add_in_order(self, seconds: Floats, *columns: Floats) -> Signals:
-        rows = self._feeds["states"].rows(seconds, *columns)
+    def _add_in_order(self, stamps: Stamps, received: Stamps | None, *columns: Floats) -> Signals:
+        rows = self._feeds["states"].rows(self._seconds(stamps), *columns)
+        if self._events is None:
+            self._events = EventSignals(self.origin)
+        self._events.add(stamps, np.hstack(columns[:2]), received)
+        if self.armed_s is None:
+            signals = self._before_armed(rows)
+        else:
+            signals = self._signals(rows) if len(rows) else {}
+        if self.armed_s is None:
+            return {}
+        times = rows[rows[:, TIME] >= self.armed_s, TIME]
+        return {**signals, **self._events.signals(times, self.armed_s)}
+
+    def _before_armed(self, rows: Floats) -> Signals:
+        """Keep states until the watch arms; return the first signals then."""
         if not len(rows):
             return {}
-        if self.armed_s is not None:
-            return self._signals(rows)
         self._states.append(rows)
         if not self._arms():
             self._states.forget(rows[-1, TIME] - REMEMBERED_S)
@@ -185,7 +212,7 @@ class Watchdog:
         kept = kept[kept[:, TIME] >= oldest]
         before = kept[kept[:, TIME] < self.armed_s]
         period_s = float(np.median(np.diff(before[:, TIME])))
-        self._pose = PoseSignals(period_s)
+        self._smooth = SmoothSignal(period_s)
         self._others = {"imu": InertialSignals(period_s, self.armed_s), "map": CorrectionSignals()}
         for name in self._pair_names:
             self._others[name] = PairSignals(name, period_s, self.armed_s)
@@ -201,10 +228,10 @@ class Watchdog:
 
     def _signals(self, rows: Floats) -> Signals:
         parts: list[Signals] = []
-        assert self._pose is not None
+        assert self._smooth is not None
         for begin in range(0, len(rows), _BLOCK):
             some = rows[begin : begin + _BLOCK]
-            parts.append(self._pose.add(some))
+            parts.append(self._smooth.add(some))
             if self._twist is not None and self._twist.usable:
                 parts.append(self._twist.add(some))
             parts += [other.add(some) for other in self._others.values()]

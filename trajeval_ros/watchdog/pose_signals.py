@@ -1,4 +1,4 @@
-"""Signals of poses: jumps, freezes, repetitions, gaps, and corrections of the map."""
+"""Signals of poses: coasting, and corrections of the map."""
 
 from __future__ import annotations
 
@@ -19,52 +19,54 @@ from trajeval_ros.watchdog.row_buffer import (
     TIME,
     RowBuffer,
     only,
-    window_begins,
 )
-from trajeval_ros.watchdog.signals import Readings, Signals, finite
+from trajeval_ros.watchdog.signals import Signals, finite
 
 _USUAL_S, _LATELY_S = 10.0, 1.0
 _MOVING_MPS = 0.05
-_REPEATED_S, _MOVED = 2.0, 0.1  # s; m, rad
-_SAME = 1e-9  # m, rad
+_SAME = 1e-9  # m
+# Of encoders: a longer step after a repeated position is a motion, and larger innovations are
+# no multiples of few steps.
+_COARSEST_M, _MOST_STEPS = 5e-3, 5.0
 _CORRECTION_S = 1.0
 
-# Columns of a step, from one state to the next, after `TIME` and `SINCE`: differences from motion
-# at constant velocity (m, deg), speed (m/s) and duration (s); time of the last motion, whether it
-# ended abruptly, and the number of repetitions that followed a motion so far.
-_INNOVATION, _TURN_INNOVATION, _SPEED, _DT = range(2, 6)
-_STOP_T, _STOP_HARD, _REPEATS = 6, 7, 8
-_WIDTH = 9
+# Columns of a step, from one state to the next, after `TIME` and `SINCE`: difference from motion
+# at constant velocity (m), speed (m/s), and resolution of the positions so far (m).
+_INNOVATION, _SPEED, _RESOLUTION = range(2, 5)
+_WIDTH = 5
 
 
-class PoseSignals:
-    """Computes signals of jumps, smoothness, freezes, repetitions and gaps, state by state."""
+class SmoothSignal:
+    """Computes how much smoother the last second is than usual: an estimate that coasts.
+
+    Positions of encoders have a resolution: the length of a step after a repeated position. A
+    smaller innovation is none of the estimate.
+    """
 
     def __init__(self, period_s: float) -> None:
         """Create it without states; `period_s` is the usual time between them."""
+        self._keep_s = 2.0 * _USUAL_S
         self._period_s = period_s
         self._usual = max(3, int(_USUAL_S / period_s))
         self._lately = max(3, int(_LATELY_S / period_s))
         self._states = RowBuffer(POSE_WIDTH)
         self._steps = RowBuffer(_WIDTH)
+        self._resolution_m = np.inf
 
     def add(self, rows: Floats) -> Signals:
-        """Add states (N, 9 or more); return the signals at them."""
+        """Add states (N, 9 or more); return the signal at them."""
         old = len(self._states.rows)
         self._states.append(rows[:, :POSE_WIDTH])
-        states = self._states.rows
         known = len(self._steps.rows)
-        self._steps.append(self._new_steps(states, old))
-        self._mark_stops(known)
+        self._steps.append(self._new_steps(self._states.rows, old))
         signals = self._signals(known)
-        keep_s = 2.0 * _USUAL_S
-        latest = states[-1, TIME]
-        self._states.forget(latest - keep_s)
-        self._steps.forget(latest - keep_s - 3.0 * self._usual * self._period_s)
+        latest = rows[-1, TIME]
+        self._states.forget(latest - self._keep_s)
+        self._steps.forget(latest - self._keep_s - 3.0 * self._usual * self._period_s)
         return signals
 
     def _new_steps(self, states: Floats, old: int) -> Floats:
-        """Return the steps that end at the states from index `old` on, (N, 9)."""
+        """Return the steps that end at the states from index `old` on, (N, 5)."""
         begin = max(old - 2, 0)
         some = states[begin:]
         times = some[:, TIME]
@@ -74,84 +76,42 @@ class PoseSignals:
             dt = np.diff(times)
             within = some[1:, SINCE] <= times[:-1]
             moved = np.diff(some[:, POSITION], axis=0)
+            moved_m = lengths(moved)
             velocity = moved / dt[:, None]
-            turned = lie.rotation_vector(between(some[:-1, QUATERNION], some[1:, QUATERNION]))
-            rate = turned / dt[:, None]
             steps[1:, _SPEED] = only(lengths(velocity), within)
-            steps[1:, _DT] = dt
-            steps[1:, _STOP_HARD] = (lengths(moved) < _SAME) & (lengths(turned) < _SAME)
             both = within[1:] & within[:-1]
             steps[2:, _INNOVATION] = only(lengths(np.diff(velocity, axis=0)) * dt[1:], both)
-            steps[2:, _TURN_INNOVATION] = only(
-                np.degrees(lengths(np.diff(rate, axis=0))) * dt[1:], both
-            )
-        return steps[old - begin :]
+            follows = (moved_m[:-1] < _SAME) & (moved_m[1:] >= _SAME)
+            steps[2:, _RESOLUTION] = np.where(follows, moved_m[1:], np.inf)
+        new = steps[old - begin :]
+        finest = np.fmin.accumulate(np.append(self._resolution_m, new[:, _RESOLUTION]))[1:]
+        self._resolution_m = float(finest[-1])
+        new[:, _RESOLUTION] = finest
+        return new
 
-    def _mark_stops(self, first: int) -> None:
-        """Fill in, for new steps, what is known about the last motion, and the repetitions."""
+    def _signals(self, first: int) -> Signals:
         steps = self._steps.rows
-        new = np.arange(first, len(steps))
-        same = steps[new, _STOP_HARD] == 1.0
-        was_moving = bool(first) and steps[first - 1, _STOP_T] == steps[first - 1, TIME]
-        follows = np.concatenate([[was_moving], ~same[:-1]])
-        before = steps[first - 1, _REPEATS] if first else 0.0
-        steps[new, _REPEATS] = before + np.cumsum(same & follows)
-        usual = self._median(_SPEED, new - 1, self._lately)
-        speed = steps[new, _SPEED]
-        hard = (speed > _MOVING_MPS) & (speed > 0.5 * usual)
-        steps[new, _STOP_T] = np.where(same, np.nan, steps[new, TIME])
-        steps[new, _STOP_HARD] = np.where(same, np.nan, hard)
-        moving = np.where(same, first - 1, new)
-        last = np.maximum(np.maximum.accumulate(moving), 0)
-        steps[new, _STOP_T] = steps[last, _STOP_T]
-        steps[new, _STOP_HARD] = steps[last, _STOP_HARD]
+        rows = np.arange(first, len(steps))
+        times, resolution = steps[rows, TIME], steps[rows, _RESOLUTION]
+        usual = self._median(_INNOVATION, rows - self._lately - 1, self._usual)
+        lately = self._median(_INNOVATION, rows, self._lately)
+        speed = self._median(_SPEED, rows, self._lately)
+        counts = (resolution < _COARSEST_M) & (usual < _MOST_STEPS * resolution)
+        resolution = np.where(counts, resolution, 1e-9)
+        smooth = np.maximum(usual, 1e-4) / np.maximum(lately, resolution)
+        return {"smooth": finite(times, np.where(speed > _MOVING_MPS, smooth, 0.0 * speed))}
 
-    def _signals(self, first: int) -> dict[str, Readings]:
-        steps = self._steps.rows
-        new = np.arange(first, len(steps))
-        fresh = steps[new]
-        times = fresh[:, TIME]
-        usual = self._median(_INNOVATION, new - self._lately - 1, self._usual)
-        lately = self._median(_INNOVATION, new, self._lately)
-        speed = self._median(_SPEED, new, self._lately)
-        smooth = np.maximum(usual, 1e-4) / np.maximum(lately, 1e-9)
-        frozen = np.where(fresh[:, _STOP_HARD] == 1.0, times - fresh[:, _STOP_T], 0.0)
-        return {
-            "jump_m": finite(times, fresh[:, _INNOVATION]),
-            "jump_deg": finite(times, fresh[:, _TURN_INNOVATION]),
-            "smooth": finite(times, np.where(speed > _MOVING_MPS, smooth, 0.0 * speed)),
-            "freeze_hard_s": finite(times, frozen),
-            "repeats": finite(times, self._repeats(first)),
-            "gap": finite(times, fresh[:, _DT] / self._period_s),
-        }
-
-    def _repeats(self, first: int) -> Floats:
-        """Return how often the steps from `first` on went from motion to a repeated pose, in 2 s.
-
-        The robot must have moved in this time: wheel odometry repeats its pose at rest.
-        """
-        steps, states = self._steps.rows, self._states.rows
-        old = len(states) - (len(steps) - first)
-        begins, known = window_begins(states, old, _REPEATED_S)
-        moved = lengths(states[old:, POSITION] - states[begins, POSITION])
-        turned = lie.angle(between(states[begins, QUATERNION], states[old:, QUATERNION]))
-        past, both = window_begins(steps, first, _REPEATED_S)
-        repeats = steps[first:, _REPEATS] - steps[past, _REPEATS]
-        is_moving = known & both & ((moved > _MOVED) | (turned > _MOVED))
-        return np.where(is_moving, repeats, 0.0)
-
-    def _window(self, column: int, last: Indices, count: int) -> Floats:
-        """Return the values of a column in the `count` rows up to the given ones, (N, count).
+    def _median(self, column: int, last: Indices, count: int) -> Floats:
+        """Return the medians of a column in the `count` rows up to the given ones, (N,).
 
         Rows before the first one are NaN.
         """
         values = self._steps.rows[:, column]
         places = last[:, None] + np.arange(1 - count, 1)
-        return np.where(places >= 0, values[np.maximum(places, 0)], np.nan)
-
-    def _median(self, column: int, last: Indices, count: int) -> Floats:
-        median: Floats = np.median(self._window(column, last, count), axis=1)
-        return median
+        medians: Floats = np.median(
+            np.where(places >= 0, values[np.maximum(places, 0)], np.nan), axis=1
+        )
+        return medians
 
 
 class CorrectionSignals:

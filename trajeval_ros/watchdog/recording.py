@@ -14,6 +14,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.watchdog.engine import ARMING_S, Watchdog
 from trajeval_ros.watchdog.signals import PAIR, Readings, Signals, joined, source_of, source_words
 from trajeval_ros.watchdog.watch_alarms import AlarmBook
@@ -48,6 +49,7 @@ class Watched:
     armed_s: float  # time of arming, s
     end_s: float  # time of the last state, s
     notices: tuple[str, ...]  # findings about the sources, one sentence each
+    events: tuple[Event, ...] = ()  # discontinuities of the estimate since arming
 
     @property
     def hours(self) -> float:
@@ -96,7 +98,9 @@ def watched(run: WatchedRun) -> Watched:
             f"{counted(watchdog.out_of_order, 'state')} of {name} dropped: timestamps do not "
             "increase"
         )
-    return Watched(watchdog.origin, signals, watchdog.armed_s, watchdog.last_s, tuple(notices))
+    times = watchdog.armed_s, watchdog.last_s
+    events = tuple(item.event for item in watchdog.events)
+    return Watched(watchdog.origin, signals, *times, tuple(notices), events)
 
 
 def feed(watchdog: Watchdog, run: WatchedRun) -> dict[str, Readings]:
@@ -107,7 +111,7 @@ def feed(watchdog: Watchdog, run: WatchedRun) -> dict[str, Readings]:
 def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
     """Feed all sources in slices of time, as in a live run, and yield the signals."""
     estimate, imu = run.estimate, run.imu
-    velocities = _body_velocities(estimate)
+    velocities, receptions = _body_velocities(estimate), estimate.reading.receptions
     others: dict[str, tuple[Stamps, Floats | None, Floats | None]] = {}
     if imu is not None:
         others["imu"] = imu.stamps, imu.rates, imu.accelerations
@@ -132,6 +136,7 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
             estimate.positions[rows],
             estimate.quaternions[rows],
             None if velocities is None else velocities[rows],
+            None if receptions is None else receptions.times[rows],
         )
 
 

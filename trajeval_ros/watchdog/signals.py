@@ -52,11 +52,21 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("gravity_mps2_5s", "m/s2", "imu", 0.4, "gravity in 5 s, IMU against estimate"),
     Signal("twist_m_5s", "m", "twist", 0.2, "translation in 5 s, pose against twist"),
     Signal("smooth", "", "", 60.0, "median innovation over innovation of the last second"),
-    Signal("freeze_hard_s", "s", "", 0.5, "same pose since a stop without slowing down"),
-    Signal("repeats", "", "", 4.0, "repetitions of a pose in 2 s of motion"),
-    Signal("jump_m", "m", "", 0.12, "innovation of position against constant velocity"),
-    Signal("jump_deg", "deg", "", 7.0, "innovation of rotation against constant angular velocity"),
+    *(
+        Signal(kind, "", "", 1.5, f"{words}, in multiples of the usual differences")
+        for kind, words in (
+            ("step", "jump of the pose"),
+            ("restart", "jump of the pose to the first one"),
+            ("outlier", "pose that leaves the path and returns"),
+            ("flip", "rotation by more than 60 deg that returns"),
+            ("flip_stays", "rotation by more than 60 deg that stays"),
+            ("lost", "jumps without a calm second"),
+        )
+    ),
+    Signal("frozen_position", "s", "", 0.5, "same position since a stop without slowing down"),
+    Signal("frozen_rotation", "s", "", 0.5, "same rotation since a stop without slowing down"),
     Signal("gap", "", "", 4.0, "time since the last pose, in median periods"),
+    Signal("clock_step", "s", "", 0.04, "jump of the timestamps, by the receive times"),
     Signal("map_correction_m_1s", "m", "map", 0.3, "translation in 1 s by map corrections"),
     Signal("map_correction_deg_1s", "deg", "map", 6.0, "rotation in 1 s by map corrections"),
 )

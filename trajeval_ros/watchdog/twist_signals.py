@@ -31,6 +31,9 @@ _LEAST_LAG_S = 0.03
 _TOLD_LAG_S = 0.05
 # Minimum ratio of residuals in body and world axes for a twist in world axes.
 _CLEARLY = 3.0
+# A factor of the twist that is told: noise of the poses adds to their motion.
+_LEAST_LOG_FACTOR = np.log(1.5)
+_KMH, _NEAR_KMH = 3.6, 0.05
 _INTEGRAL = slice(STATE_WIDTH, STATE_WIDTH + 3)
 
 
@@ -43,6 +46,7 @@ class TwistSignals:
         self.lag_s, chance = _lag_of(before)  # lag of the twist relative to the pose, s
         self._waiting = RowBuffer(STATE_WIDTH)
         self._rows = RowBuffer(_INTEGRAL.stop)
+        self._tell_factor(before)
         # Whether the twist is in the body frame, so that it can be compared.
         self.usable = self._is_in_body(before)
         if abs(self.lag_s) > _TOLD_LAG_S:
@@ -64,6 +68,21 @@ class TwistSignals:
             "requires, and is not compared; correct the estimator"
         )
         return False
+
+    def _tell_factor(self, before: Floats) -> None:
+        """Add a notice if the twist is another multiple of the motion."""
+        within = before[1:, SINCE] <= before[:-1, TIME]
+        dt = np.diff(before[:, TIME])[within]
+        moved = lengths(np.diff(before[:, POSITION], axis=0))[within]
+        twist = lengths(before[1:, VELOCITY])[within] * dt
+        factor = float(twist.sum() / max(float(moved.sum()), 1e-9))
+        if factor and abs(np.log(factor)) > _LEAST_LOG_FACTOR:
+            is_kmh = abs(factor / _KMH - 1.0) < _NEAR_KMH
+            said = ", as if it were in km/h," if is_kmh else ""
+            self.notices.append(
+                f"the twist is {factor:.3g} times the motion of the pose{said} and "
+                "nav_msgs/Odometry requires m/s; correct the estimator"
+            )
 
     def add(self, rows: Floats) -> Signals:
         """Add states (N, 12); return the signals at states for which the twist has arrived."""

@@ -22,6 +22,7 @@ from trajeval_ros.io.results.probabilistic_json import _gauge_scores as gauge_sc
 from trajeval_ros.io.results.result_json import integrity_json
 from trajeval_ros.io.results.watch_json import watch_json
 from trajeval_ros.metrics.columns import columns_of, component_columns
+from trajeval_ros.metrics.discontinuities.events import Event
 
 FAKE: Any = SimpleNamespace
 
@@ -220,7 +221,10 @@ def test_a_watch_is_written_with_times_of_the_recording() -> None:
         is_error=lambda alarm: alarm.signal == "gap",
         alarms=alarms,
     )
-    seen = FAKE(origin=10**18, armed_s=0.5, end_s=9.5, signals=known, notices=("a", "b"))
+    event = Event("step", "estimate", 10**18, 10**18 + 1, m=0.3, ratio=7.0)
+    seen = FAKE(
+        origin=10**18, armed_s=0.5, end_s=9.5, signals=known, notices=("a", "b"), events=(event,)
+    )
     with pytest.MonkeyPatch.context() as patch:
         unit = "trajeval_ros.io.results.watch_json.signal_of"
         patch.setattr(unit, lambda _: FAKE(unit="m"))
@@ -241,8 +245,12 @@ def test_a_watch_is_written_with_times_of_the_recording() -> None:
         "peak_ns": 10**18 + 2_000_000_000,
         "limit": 5.0,
     }
+    assert found.pop("events") == [
+        {"kind": "step", "t_ns": 10**18, "end_ns": 10**18 + 1, "m": 0.3, "deg": 0.0, "s": 0.0,
+         "certainty": "likely", "ratio": 7.0, "gap_s": 0.0}
+    ]  # fmt: skip
     assert found == {
-        "schema": "trajeval-watch/2",
+        "schema": "trajeval-watch/3",
         "estimate": "vio",
         "armed_ns": 10**18 + 500_000_000,
         "judged_s": 9.0,

@@ -439,3 +439,28 @@ def test_from_the_command_line(tmp_path: Path) -> None:
 def test_a_rate_is_above_zero(rate: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["trajectory", "x.txt", "--frame-rate", rate]) == 2
     assert "the frame rate must be greater than zero" in capsys.readouterr().err
+
+
+def test_labels_of_motive_are_no_damaged_row(tmp_path: Path) -> None:
+    """Exports of Motive 2 and 3 label their header in the second column, also identifiers."""
+    body = "Rotation,Rotation,Rotation,Rotation,Position,Position,Position"
+    header = [
+        "Format Version,1.23,Take Name,Take 1",
+        "",
+        ",Type" + 7 * ",Rigid Body",
+        ",Name" + 7 * ",drone",
+        ",ID" + 7 * ",1",
+        f",,{body}",
+        "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z",
+    ]
+    rows = [f"{row},{row / 10},0,0,0.6,0.8,{row},2,3" for row in range(20)]
+    path = tmp_path / "take.csv"
+    path.write_text("\n".join([*header, *rows]) + "\n")
+    found = read_trajectory(str(path))
+    assert len(found) == 20
+    np.testing.assert_array_equal(found.positions[5], [5.0, 2.0, 3.0])
+    assert found.quaternions is not None
+    np.testing.assert_allclose(found.quaternions[5], [0.0, 0.0, 0.6, 0.8])
+    path.write_text("\n".join([*header, "x0,0,0,0,0.6,0.8,1,2,3", *rows]) + "\n")
+    with pytest.raises(InputError, match="line 8: 'x0' is not a number"):
+        read_trajectory(str(path))

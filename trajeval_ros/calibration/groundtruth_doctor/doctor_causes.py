@@ -182,19 +182,11 @@ def discontinuity_causes(events: Sequence[Event], origin: int) -> Iterator[Groun
         largest = max(group, key=lambda event: (event.ratio, abs(event.s)), default=None)
         sentence = ""
         if largest is not None:
-            sizes = [
-                text
-                for value, text in (
-                    (largest.m, f"{largest.m:.2f} m"),
-                    (largest.deg, f"{largest.deg:.0f} deg"),
-                    (largest.s * (name == "clock_steps"), f"{largest.s:+.3f} s"),
-                )
-                if value
-            ]
+            size = f"{largest.s:+.3f} s" if name == "clock_steps" else largest.size
             which = "" if len(group) == 1 else "; the largest is"
             sentence = (
                 f"{counted(len(group), noun)} of {'up to ' * (len(group) > 1)}"
-                f"{' and '.join(sizes)}{which} at {(largest.t_ns - origin) / 1e9:.2f} s{advice}."
+                f"{size}{which} at {(largest.t_ns - origin) / 1e9:.2f} s{advice}."
             )
         yield _found(name, len(group), "", sentence, found=bool(group))
 

@@ -267,8 +267,8 @@ _ROWS = (
         "covariance, in metres. 0: no limit."),
     Setting(name="fix_correlation", kind=float, target="fixes.correlation_s", metavar="S",
         panel=GNSS, verbs=(EVALUATE, NODE), range=(0.001, 1e6),
-        help="Correlation time of the fix errors, in seconds, for the interval of the "
-        "estimate's own error. Default: {default}."),
+        help="Correlation time of the fix errors, in seconds, for the noise-corrected "
+        "ATE. Default: {default}."),
     Setting(name="covariance",
         target=("covariances.source", "covariances.joint", "covariances.name"),
         read=lambda request: request.covariances.name or request.covariances.source,
@@ -312,11 +312,11 @@ _ROWS = (
         help="Largest age of a pose in time, in seconds. Default: {default}."),
     Setting(name="received", target="available.received",
         panel=AVAILABLE, verbs=(EVALUATE,), choices=RECEIVED,
-        help="Times of a bag that are receptions: log times of the recorder, or publish times "
+        help="Receive times of a bag: log times of the recorder, or publish times "
         "without transport. auto (default): publish times where they differ."),
     Setting(name="receive_clock", target="available.receive_clock",
         metavar="S|fastest:S", panel=AVAILABLE, verbs=(EVALUATE,),
-        help="Correction of the receiver's clock: seconds that are added to receptions, or the "
+        help="Correction of the receiver's clock: seconds that are added to receive times, or the "
         "latency of the fastest message, as in fastest:0.005. Default: {default}."),
     Setting(name="up", target="up", parse=parse_up, metavar="AXIS|AXIS,AXIS", panel=INPUT,
         verbs=(EVALUATE, COMPARE, FINISH, NODE),

@@ -1,6 +1,6 @@
 """Content of result.json, the result of an evaluation for other programs.
 
-The schema is `trajeval/2`. docs/result.md describes all fields. Two evaluations of the same input
+The schema is `trajeval/3`. docs/result.md describes all fields. Two evaluations of the same input
 give the same bytes.
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trajeval_ros.consistency.integrity import Integrity
     from trajeval_ros.diagnosis.findings import Finding
 
-SCHEMA = "trajeval/2"
+SCHEMA = "trajeval/3"
 
 
 def result_of(outcome: Outcome) -> dict[str, Any]:

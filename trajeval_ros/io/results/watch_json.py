@@ -9,7 +9,8 @@ from trajeval_ros.watchdog.recording import Watched
 from trajeval_ros.watchdog.signals import signal_of
 from trajeval_ros.watchdog.watch_alarms import AlarmBook
 
-SCHEMA = "trajeval-watch/2"
+_OF_EVENT = "kind", "t_ns", "end_ns", "m", "deg", "s", "certainty", "ratio", "gap_s"
+SCHEMA = "trajeval-watch/3"
 
 
 def watch_json(estimate: str, seen: Watched, book: AlarmBook) -> dict[str, Any]:
@@ -52,5 +53,6 @@ def watch_json(estimate: str, seen: Watched, book: AlarmBook) -> dict[str, Any]:
             for alarm in book.alarms
         ],
         "signals": signals,
+        "events": [{name: getattr(event, name) for name in _OF_EVENT} for event in seen.events],
         "notices": list(seen.notices),
     }

@@ -170,6 +170,8 @@ def _check_line_above(
     """Refuse a line above the first row that is a row with damage, not a header."""
     if len(row) > _LONGEST_COUNT and all(number(word) is not None for word in row):
         reason = f"{counted(columns, 'column')} expected, found {len(row)}"
+    elif not row[0] and number(next(filter(None, row), "")) is None:
+        return  # a label and identifiers, as in `,ID,1,1,1` of Motive
     elif (
         not are_named
         and len(row) == columns

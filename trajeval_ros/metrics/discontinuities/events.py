@@ -41,6 +41,12 @@ class Event:
     innovations: tuple[float, float] = (0.0, 0.0)
 
     @property
+    def size(self) -> str:
+        """What it moved and rotated, as in `0.31 m and 4 deg`; "" if it is no step."""
+        sizes = ((self.m, f"{self.m:.2f} m"), (self.deg, f"{self.deg:.0f} deg"))
+        return " and ".join(text for value, text in sizes if value)
+
+    @property
     def is_large(self) -> bool:
         """Whether it is beyond all usual differences."""
         return self.ratio >= _LARGE

@@ -35,10 +35,12 @@ _CONFIRMED_S = 1.0  # time until a step of a clock is known
 
 
 class KnownEvent(NamedTuple):
-    """An event, and the timestamp from which on it is known."""
+    """An event as it was when it became known; the event itself may change later."""
 
     event: Event
-    known_ns: int
+    known_ns: int  # timestamp
+    kind: str
+    ratio: float
 
 
 class OneStream:
@@ -195,7 +197,7 @@ class OneStream:
             event = self._steps.follow(motion, pair)
             self._successive, last, limits.part_s = self._successive + 1, number, motion.end_s
             if event is not None:
-                self._new.append(KnownEvent(event, self._ns(motion.known_s)))
+                self._tell(event, motion.known_s)
         self._successive = self._successive if last == len(unusual) - 1 else 0
 
     def _motions(self, limits: OwnLimits, begin: int, end: int) -> OwnMotions:
@@ -205,7 +207,10 @@ class OneStream:
 
     def _add(self, event: Event, known_s: float) -> None:
         self.events.append(event)
-        self._new.append(KnownEvent(event, self._ns(known_s)))
+        self._tell(event, known_s)
+
+    def _tell(self, event: Event, known_s: float) -> None:
+        self._new.append(KnownEvent(event, self._ns(known_s), event.kind, event.ratio))
 
     def _ns(self, seconds: float) -> int:
         return (self._zero_ns or 0) + round(float(seconds) * NANOSECONDS)

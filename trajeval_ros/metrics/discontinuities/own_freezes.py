@@ -33,6 +33,7 @@ class OwnFreezes:
     def __init__(self, stream: SidePoses, side: str) -> None:
         self._stream, self._side = stream, side
         self._followed: list[_Followed] = []
+        self._rests = False  # whether the rotation has rested: wheels hold it while they drive
 
     @property
     def present(self) -> list[Event]:
@@ -41,10 +42,13 @@ class OwnFreezes:
 
     def advance(self, nanoseconds: Callable[[float], int]) -> Iterator[tuple[Event, float]]:
         """Yield new events and the times at which they are known; those that last are extended."""
+        for item in self._followed:
+            self._see_rest(item)
         known = [item.repeats for item in self._followed]
         for repeats in self._stream.repeats:
             if not any(repeats is item for item in known):
                 self._followed.append(_Followed(repeats, self._least_s(repeats)))
+                self._see_rest(self._followed[-1])
         self._stream.repeats[:] = [item for item in self._stream.repeats if not item.is_over]
         for item in self._followed:
             begin_s, end_s = item.repeats.begin_s, item.repeats.end_s
@@ -60,13 +64,19 @@ class OwnFreezes:
             item.event.ratio = item.event.s / item.least_s
         self._followed = [item for item in self._followed if not item.repeats.is_over]
 
+    def _see_rest(self, item: _Followed) -> None:
+        """See a rotation that repeated for a time: later ones may be rests, too."""
+        lasts_s = item.repeats.end_s - item.repeats.begin_s
+        is_rotation = item.repeats.part == "rotation"
+        self._rests |= is_rotation and item.repeats.is_over and lasts_s >= FROZEN_S
+
     def _least_s(self, repeats: Repeats) -> float:
         """Return the time after which repeats are no rest of the robot."""
         stream = self._stream
         begin = max(stream.row_from(repeats.begin_s - _LATELY_S) - 1, 0)
         end = stream.row_after(repeats.begin_s + 1e-9)
         stamps, poses = stream.stamps[begin:end], stream.poses[begin:end]
-        if len(stamps) < 3:
+        if len(stamps) < 3 or (repeats.part == "rotation" and self._rests):
             return np.inf
         moved, rest = _MOVED_M, _REST_MPS
         if repeats.part == "position":
