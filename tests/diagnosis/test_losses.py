@@ -75,7 +75,8 @@ def test_a_divergence_over_three_times_the_whole_path_is_certain(
         (30.0, 6.1, True, False),
         (30.1, 6.0, True, False),
         (30.1, 2.7, True, False),
-        (11.0, 4.0, False, True),
+        (11.0, 6.1, False, True),
+        (11.0, 6.0, False, False),
     ],
 )
 def test_a_large_loss_lasts_or_is_long_and_moves_unlike_drift(
