@@ -136,13 +136,13 @@ def test_markov_processes(numbers: Any, group: str, order: int) -> None:
     interpolator = process.interpolator()
     states, covariances = interpolator.at(asked[inside])
     np.testing.assert_allclose(states, np.array(case["query_mean"])[inside], atol=1e-9)
-    np.testing.assert_allclose(interpolator.own[0], case["P0"], rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(interpolator.marginals[0], case["P0"], rtol=1e-8, atol=1e-12)
     dimension = len(case["Qc_diag"])
     joint = dense_covariance(JointPosterior.of(process, times))
     blocks = joint.reshape(len(times), dimension, len(times), dimension)
     item = np.arange(len(times))
     marginals = blocks[item, :, item]
-    alone = interpolator.own[:, :dimension, :dimension]
+    alone = interpolator.marginals[:, :dimension, :dimension]
     np.testing.assert_allclose(marginals, alone, rtol=1e-6, atol=1e-12)
     if "query_cov" in case:
         expected = np.array(case["query_cov"])[inside]

@@ -287,7 +287,7 @@ def test_the_option_says_what_is_up(tmp_path: Path, capsys: pytest.CaptureFixtur
     write_tum(tmp_path / "truth.txt", standing(car(1), "y"))
     write_tum(tmp_path / "estimate.txt", erring(car(1)))
     assert evaluated(tmp_path, "--gauge", "yaw")[0] == 2
-    assert "set --up=-y or --up=y" in capsys.readouterr().err
+    assert "set --up=y,z or --up=-y,z; to keep it" in capsys.readouterr().err
     status, result = evaluated(tmp_path, "--gauge", "yaw", "--up", "y,z")
     assert status == 0
     assert result["runs"][0]["ate"]["position_m"]["rmse"] < 0.5
