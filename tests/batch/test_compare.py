@@ -217,7 +217,8 @@ def test_the_caption_states_the_association(tmp_path: Path) -> None:
         ({"association": "nearest"}, "nearest timestamps one to one, within 0.02 s."),
     ):
         run_plan(plan_of(config, options), tmp_path / "out", here)
-        assert f"gauge se3, all states; {said}" in matrices(summary_of(tmp_path / "out"))[0].caption
+        caption = matrices(summary_of(tmp_path / "out"))[0].caption
+        assert f"gauge se3, all states; {said}" in caption
 
 
 def test_the_trial_of_a_figure_is_named(tmp_path: Path) -> None:
