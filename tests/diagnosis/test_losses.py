@@ -71,10 +71,10 @@ def test_a_divergence_over_three_times_the_whole_path_is_certain(
     ("end_s", "moved_m", "is_over", "expected"),
     [
         (30.1, 6.1, True, True),
-        (30.1, 2.6, True, True),
+        (30.1, 1.3, True, True),
         (30.0, 6.1, True, False),
         (30.1, 6.0, True, False),
-        (30.1, 2.7, True, False),
+        (30.1, 1.4, True, False),
         (11.0, 6.1, False, True),
         (11.0, 6.0, False, False),
     ],

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 _START_S = 1.0  # a loss within this time after the first pair is one of the start
 # Of the size of the groundtruth's path. Inverse poses have up to twice its size.
 _UNBOUNDED = 3.0
-_LARGE_PART, _LARGE = 0.2, 1.5  # of the run, and of a path: a smaller loss is one of its errors
+# Of the run, and of the groundtruth's path: a smaller loss is one of the run's errors. An estimate
+# that holds its position moves a small part of that path.
+_LARGE_PART, _LARGE, _HELD = 0.2, 1.5, 0.33
 
 
 def losses_in(pairs: Association) -> Sequence[Loss]:
@@ -48,8 +50,8 @@ def is_certain(loss: Loss, pairs: Association) -> bool:
 
 
 def is_large(loss: Loss, pairs: Association) -> bool:
-    """Return whether a loss is larger than a large drift, and long or until the end."""
-    differs = max(loss.moved_m, loss.m) > _LARGE * min(loss.moved_m, loss.m)
+    """Return whether a loss is no large drift, and long or until the end."""
+    differs = loss.moved_m > _LARGE * loss.m or loss.moved_m < _HELD * loss.m
     is_long = not loss.is_over or loss.s > _LARGE_PART * pairs.estimate.duration_s
     return differs and is_long
 
