@@ -181,7 +181,7 @@ def test_status_log_event_and_result_say_the_same(heard: Heard, row: str) -> Non
 
 
 @pytest.mark.parametrize("topic", [SLOW, NOISY])
-def test_a_divergence_is_told_live_and_in_the_result(heard: Heard, topic: str) -> None:
+def test_a_divergence_is_told_live_and_a_large_one_in_the_result(heard: Heard, topic: str) -> None:
     name, sentence = topic.strip("/").replace("/", "_"), "the estimate diverges from "
     told = [item for item in heard.statuses if item.name == f"good: {name}"]
     events = [item for item in heard.events["good"] if item.name.endswith(name)]
@@ -191,6 +191,8 @@ def test_a_divergence_is_told_live_and_in_the_result(heard: Heard, topic: str) -
         assert set(levels) <= {b"\x01", b"\x02"}
         assert levels == sorted(levels)
     assert sentence in heard.nodes["good"].said
+    if topic == SLOW:  # it is not larger than a large drift: the result has no finding
+        return
     [finding] = heard.nodes["good"].run_of(topic)["diagnosis"]
     assert finding["cause"] == "diverged"
     assert finding["evidence"]["at_s"] == pytest.approx(FAULT_S, abs=6.0)
