@@ -14,10 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from ros_bags import ODOM, POSE, Message, messages_of, pose_message, write_messages
 from ros_processes import GROUNDTRUTH, ODOMETRY, Evaluator, Peer, evaluating
-from waiting import until
 
 from trajeval_ros import simulate
 from trajeval_ros.cli.app import main
@@ -276,64 +274,3 @@ def test_best_effort_messages_are_lost_no_more_often_than_by_a_plain_node(
     lost, plainly_lost = count - run["estimate"]["poses"], count - received
     # The two processes do not get the cores at the same moments.
     assert lost <= plainly_lost + 0.02 * count
-
-
-def many_poses(stamps: NDArray[np.int64]) -> list[bytes]:
-    """Return messages of poses along a curve, from one message as a template."""
-    template = np.frombuffer(pose_message(0, [0.0] * 3, [0.0, 0.0, 0.0, 1.0]), np.uint8)
-    rows = np.tile(template, (len(stamps), 1))
-    seconds = np.array(np.divmod(stamps, NANOSECONDS), dtype="<u4").T.copy()
-    rows[:, 4:12] = seconds.view(np.uint8)
-    angle = (stamps - stamps[0]) / NANOSECONDS
-    places = np.column_stack([3.0 * np.cos(angle), 2.0 * np.sin(angle), np.sin(0.3 * angle)])
-    # Encapsulation, time, and the name of the frame with its length; numbers are aligned.
-    rows[:, 28:52] = np.ascontiguousarray(places, dtype="<f8").view(np.uint8)
-    return [row.tobytes() for row in rows]
-
-
-@pytest.mark.slow
-def test_a_run_of_hours_ends_before_its_evaluation(
-    peer: Peer, environment: dict[str, str], tmp_path: Path
-) -> None:
-    """The node does not wait for the evaluation of more than 400,000 pairs, which is done once."""
-    from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import PoseStamped
-
-    count, together = 405_000, 15_000  # the node keeps 20,000 messages
-    arrays = peer.hear("/diagnostics", DiagnosticArray)
-    stamps = 10**18 + np.arange(count) * (NANOSECONDS // 5000)
-    poses, truth = many_poses(stamps), many_poses(stamps[::50])
-    sides = [
-        peer.node.create_publisher(PoseStamped, topic, 3 * together)
-        for topic in (GROUNDTRUTH, ODOMETRY)
-    ]
-
-    def pairs() -> int:
-        numbers = [
-            int(pair.value)
-            for array in arrays[-1:]
-            for status in array.status
-            for pair in status.values
-            if pair.key == "pairs"
-        ]
-        return max(numbers, default=0)
-
-    words = {"gauge": "yaw", "lengths": "none", "autosave_period": 0.0}
-    with evaluating(tmp_path / "live", environment, **words) as live:
-        for side in sides:
-            peer.until(lambda: side.get_subscription_count() == 1, "a subscriber")  # noqa: B023
-        peer.until(lambda: arrays, "the node is at work")
-        for begin in range(0, count, together):
-            for payload in truth[begin // 50 : (begin + together) // 50]:
-                sides[0].publish(payload)
-            for payload in poses[begin : begin + together]:
-                sides[1].publish(payload)
-            arrays.clear()
-            # The last poses wait for groundtruth. More messages than these would not be kept.
-            peer.until(lambda: pairs() > begin + together - 100, "pairs")  # noqa: B023
-        assert live.end() == 0
-        assert "continues in another process" in live.said
-        until((live.folder / "result.json").exists, "the result")
-    [run] = live.result["runs"]
-    assert run["association"]["pairs"] > 0.99 * count
-    assert run["live"]["messages_lost"] == 0
