@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from ros_bags import ODOM, POSE, Message, messages_of, pose_message, write_messages
+from ros_bags import ODOM, POSE, Message, messages_of, write_messages
 from ros_processes import GROUNDTRUTH, ODOMETRY, Evaluator, Peer, evaluating
 
 from trajeval_ros import simulate
@@ -195,82 +190,3 @@ def test_a_lost_estimate_has_no_hints(
     assert [item["sentence"] for item in hints if item.get("subject") != "alignment"] == []
     texts = [item.message for array in arrays for item in array.status if item.level >= WARNING]
     assert [text for text in texts if "set time_offset" in text or "Euler" in text] == []
-
-
-_PLAIN = f"""
-import signal
-import rclpy
-from geometry_msgs.msg import PoseStamped
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-rclpy.init()
-node, count = rclpy.create_node("plain"), 0
-def receive(payload):
-    global count
-    count += 1
-profile = QoSProfile(depth=20_000, reliability=ReliabilityPolicy.BEST_EFFORT)
-node.create_subscription(PoseStamped, "{ODOMETRY}", receive, profile, raw=True)
-try:
-    rclpy.spin(node)
-except BaseException:
-    pass
-print(count, flush=True)
-"""
-
-
-@contextmanager
-def busy(count: int) -> Iterator[None]:
-    """Keep cores busy."""
-    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for loop in loops:
-            loop.kill()
-            loop.wait()
-
-
-@pytest.mark.slow
-def test_best_effort_messages_are_lost_no_more_often_than_by_a_plain_node(
-    peer: Peer, environment: dict[str, str], tmp_path: Path
-) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import PoseStamped
-
-    count = 4000
-    arrays = peer.hear("/diagnostics", DiagnosticArray)
-    sides = [
-        peer.publisher(topic, PoseStamped, reliable=False) for topic in (GROUNDTRUTH, ODOMETRY)
-    ]
-    plain = subprocess.Popen(
-        [sys.executable, "-c", _PLAIN], env=environment, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        with (
-            busy(os.cpu_count() or 1),
-            evaluating(tmp_path / "live", environment, gauge="yaw", lengths="none") as live,
-        ):
-            for side, subscribers in zip(sides, (1, 2), strict=True):
-                peer.until(
-                    lambda: side.get_subscription_count() == subscribers,  # noqa: B023
-                    "subscribers",
-                )
-            peer.until(lambda: arrays, "the node is at work")
-            for row in range(count):
-                angle = 1e-3 * row
-                place = [3.0 * np.cos(angle), 2.0 * np.sin(angle), np.sin(0.3 * angle)]
-                payload = pose_message(
-                    10**18 + row * NANOSECONDS // 500, place, [0.0, 0.0, 0.0, 1.0]
-                )
-                for side in sides:
-                    side.publish(payload)
-                peer._executor.spin_once(timeout_sec=1e-3)
-            assert live.end() == 0
-        plain.send_signal(signal.SIGINT)
-        received = int(plain.communicate()[0])
-    finally:
-        plain.kill()
-        plain.wait()
-    [run] = live.result["runs"]
-    lost, plainly_lost = count - run["estimate"]["poses"], count - received
-    # The two processes do not get the cores at the same moments.
-    assert lost <= plainly_lost + 0.02 * count
