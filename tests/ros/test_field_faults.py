@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from ros_bags import ODOM, POSE, Message, messages_of, write_messages
-from ros_processes import GROUNDTRUTH, ODOMETRY, Evaluator, Peer, evaluating
+from ros_processes import GROUNDTRUTH, ODOMETRY, Evaluator, Peer, evaluating, play_to_nodes
 
 from trajeval_ros import simulate
 from trajeval_ros.cli.app import main
@@ -38,24 +37,14 @@ def played_to_nodes(
     from diagnostic_msgs.msg import DiagnosticStatus
 
     events = {name: peer.hear(f"/{name}/event", DiagnosticStatus, latched=True) for name in sides}
-    with ExitStack() as stack:
-        nodes = {
-            name: stack.enter_context(
-                evaluating(
-                    folder / name,
-                    environment,
-                    *("-r", f"__node:={name}"),
-                    groundtruth=groundtruth,
-                    estimates=[estimate],
-                    **{"gauge": "yaw", "lengths": "none", **values},
-                )
-            )
-            for name, (groundtruth, estimate) in sides.items()
+    options = {
+        name: {
+            "groundtruth": groundtruth, "estimates": [estimate], "gauge": "yaw",
+            "lengths": "none", **values,
         }
-        topics = {topic: 1 for pair in sides.values() for topic in pair}
-        peer.play(bag, topics, sides, rate=2.0)
-        for node in nodes.values():
-            assert node.end() == 0, node.said
+        for name, (groundtruth, estimate) in sides.items()
+    }  # fmt: skip
+    nodes = play_to_nodes(bag, peer, environment, folder, options, rate=2.0)
     return nodes, {name: warnings_in(heard) for name, heard in events.items()}
 
 

@@ -339,7 +339,7 @@ def play_without_loss(
         rate: To begin with.
     """
     while True:
-        done = _play(bag, peer, environment, folder / f"rate_{rate:g}", nodes, rate)
+        done = play_to_nodes(bag, peer, environment, folder / f"rate_{rate:g}", nodes, rate)
         lost = [_lost(run) for item in done.values() for run in item.result["runs"]]
         if not any(lost):
             return done
@@ -354,7 +354,7 @@ def _lost(run: Any) -> int:
     return int(live["messages_lost"] + live["groundtruth_messages_lost"] + too_late)
 
 
-def _play(
+def play_to_nodes(
     bag: Path,
     peer: Peer,
     environment: dict[str, str],
@@ -362,6 +362,7 @@ def _play(
     nodes: Mapping[str, Mapping[str, Any]],
     rate: float,
 ) -> dict[str, Evaluator]:
+    """Play a bag once to evaluators by name, and end them; arguments as of `play_without_loss`."""
     folder.mkdir(parents=True)
     running: dict[str, Evaluator] = {}
     with ExitStack() as stack:
