@@ -70,14 +70,15 @@ def as_read(
     covariances: Sequence[bool],
 ) -> list[Trajectory]:
     """Return trajectories of the search as reading them again does."""
-    found = []
-    for source, name, wanted in zip(sources, names, covariances, strict=True):
+    trajectories = []
+    for source, name, has_covariances in zip(sources, names, covariances, strict=True):
         trajectory = read[source]
         reading = dataclasses.replace(trajectory.reading, source=source)
-        found.append(dataclasses.replace(trajectory, name=name, reading=reading))
-        if not wanted and parse_source(source).is_bag:
-            found[-1] = dataclasses.replace(found[-1], covariances=None)
-    return found
+        trajectory = dataclasses.replace(trajectory, name=name, reading=reading)
+        if not has_covariances and parse_source(source).is_bag:
+            trajectory = dataclasses.replace(trajectory, covariances=None)
+        trajectories.append(trajectory)
+    return trajectories
 
 
 def with_reasons(groundtruth: Trajectory, chosen: LikelyEvaluation) -> Trajectory:

@@ -18,6 +18,8 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.online.reports import Snapshot, Update
 
+_ERROR_S = 3.0  # an estimate that is lost for this time is an error
+
 
 class LimitedQuantity(NamedTuple):
     """A quantity with one limit for warnings and one for errors."""
@@ -135,9 +137,6 @@ def alarm_below(name: str, value: float, limits: AlarmLimits, text: str) -> list
             values = {"value": value, "limit": limit}
             return [Remark(level, "alarm", text.format(limit=limit), name, values)]
     return []
-
-
-_ERROR_S = 3.0  # an estimate that is lost for this time is an error
 
 
 def about_loss(snapshot: Snapshot) -> list[Remark]:

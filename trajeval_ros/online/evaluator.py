@@ -50,7 +50,7 @@ class OnlineEvaluator:
         buffer: The pairing of the states.
         frames: Up axes of both frames, and conversions.
         store: The pairs of the window, and those that relative errors still need.
-        losses: TrackingLosses of tracking: frozen and diverging estimates.
+        losses: Losses of tracking: frozen and diverging estimates.
         up_axis_doubt: Why the groundtruth's up axis is doubtful; set by the caller, who has the
             path of the whole run. Empty if it is not.
 
