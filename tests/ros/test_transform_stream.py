@@ -21,6 +21,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.online.state_buffer import NO_STATES
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, rows_of
 from trajeval_ros.ros.poses import StreamStatus
 from trajeval_ros.ros.transform_stream import TransformStream
@@ -39,16 +40,19 @@ class Arriving(NamedTuple):
 
 
 def a_run(
-    random: np.random.Generator, seconds: float, lags_s: dict[EdgeKey, float]
+    random: np.random.Generator,
+    seconds: float,
+    lags_s: dict[EdgeKey, float],
+    map_rate: float = 8.0,
 ) -> list[Arriving]:
     """Return two edges that move, one that does not, and one of another tree, as they arrive.
 
     Some transforms have no time, some are no poses, some come twice.
     """
     found = []
-    for key, rate in ((MAP, 8.0), (ODOM, 20.0), (CAMERA, 0.0), (OTHER, 5.0)):
+    for key, rate in ((MAP, map_rate), (ODOM, 20.0), (CAMERA, 0.0), (OTHER, 5.0)):
         count = max(1, round(rate * seconds))
-        offsets = np.cumsum(random.uniform(0.5, 1.5, count)) / max(rate, 1.0) * SECOND
+        offsets = np.cumsum(random.uniform(0.5, 1.5, count)) / (rate or 1.0) * SECOND
         stamps = START + offsets.astype(np.int64)
         numbers = random.normal(size=(count, 7))
         if rate:
@@ -128,6 +132,45 @@ def test_any_batches_give_the_offline_chain(
     assert stream.trouble is None
     assert stream.status.poses == len(stamps)
     assert (stream.status.first, stream.status.last) == (stamps[0], stamps[-1])
+
+
+@settings(max_examples=20)
+@given(
+    seed=seeds,
+    cuts=st.lists(st.floats(0.0, 1.0), max_size=80),
+    lags_s=st.fixed_dictionaries({MAP: st.floats(0.0, 1.0), ODOM: st.floats(0.0, 1.0)}),
+    map_rate=st.sampled_from([0.6, 8.0]),
+)
+def test_after_a_restart_of_time_the_chain_is_that_of_the_new_messages_alone(
+    seed: int, cuts: list[float], lags_s: dict[EdgeKey, float], map_rate: float
+) -> None:
+    """However the messages around the step are divided, and at rare corrections, too."""
+    run = a_run(np.random.default_rng(seed), 12.0, lags_s, map_rate)
+    pause = 100 * SECOND
+    again = [item._replace(arrives=item.arrives + pause) for item in run if not item.is_static]
+    restarted, alone = (TransformStream(SOURCE, "map", "camera") for _ in range(2))
+    results = []
+    for stream, batches in ((restarted, cut([*run, *again], cuts)), (alone, [[*run, *again]])):
+        stream.starts_new_run = stream.is_receiver = True
+        if stream is alone:
+            stream.hold([transforms_message(item.transform) for item in run if item.is_static])
+            batches = [again]
+        states, received = [], []
+        for batch in batches:
+            states += feed(stream, [batch])
+            received.append(stream.as_received(NO_STATES))
+        received.append(stream.as_received(stream.last_poses()))
+        stamps = np.concatenate([item.stamps for item in states])
+        back = np.flatnonzero(np.diff(stamps) < -SECOND)
+        rows = slice(back[-1] + 1 if len(back) else 0, None)
+        received = [item for item in received if item.reading.receptions is not None]
+        poses = np.concatenate([rows_of(item) for item in received])
+        times = np.concatenate([item.reading.receptions.times for item in received])
+        results.append(
+            (stamps[rows], times[times >= START + pause], poses[times >= START + pause])
+        )
+    for one, other in zip(*results, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
     assert (stream.status.frame, stream.status.child_frame) == ("map", "camera")
     assert stream.status.remarks == [Remark(Level.NOTE, "format", "format: TF")]
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import note, warning
@@ -15,12 +16,7 @@ from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, OutlierStamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
-from trajeval_ros.io.bags.received_transforms import (
-    NO_TRANSFORMS,
-    ReceivedChain,
-    Transforms,
-    transforms_of,
-)
+from trajeval_ros.io.bags.received_transforms import TRANSFORM, ReceivedChain, transforms_of
 from trajeval_ros.io.bags.transform_tree import (
     LEADS_BY_S,
     Edge,
@@ -40,6 +36,11 @@ _MOST_TRANSFORMS = 50_000  # transforms per edge
 _MOST_EDGES = 1000  # edges, which may belong to other trees
 _WARN_AFTER_S = 5.0
 
+# A transform and the number of its message, in order of arrival.
+_NUMBERED = np.dtype([("transform", TRANSFORM), ("message", "<i8")])
+_NumberedTransforms = NDArray[np.void]
+_NONE: _NumberedTransforms = np.empty(0, _NUMBERED)
+
 
 class TransformStream(PoseStream):
     """Chains the edges between two frames at the timestamps of the leading edge, as for bags.
@@ -47,6 +48,9 @@ class TransformStream(PoseStream):
     The first pose is available when the leading edge is determined. A pose is available when all
     edges have reached its timestamp. A tree has only one chain between two frames. When it is
     found, all other edges are removed.
+
+    When the time of one edge steps back, all edges start again with the first message after the
+    step. It was received before the step was certain, so the newest messages are kept.
     """
 
     def __init__(self, source: str, parent: str, child: str) -> None:
@@ -60,10 +64,11 @@ class TransformStream(PoseStream):
         self._leading: EdgeKey | None = None
         self._until = NEVER
         self._warn_at: float | None = None
-        # For `as_received`: the transforms since its last call, and what composes them.
-        self._received: dict[EdgeKey, Transforms] = {}
+        self._messages = 0  # number of messages so far
+        # Transforms from the first message on that may be after a step back of time, and those
+        # that `as_received` has not composed.
+        self._recent: dict[EdgeKey, _NumberedTransforms] = {}
         self._chain: ReceivedChain | None = None
-        self._anew_row = 0  # the newest message at which time started again
         self._is_over = False  # whether no transforms will follow
 
     def poses(
@@ -73,12 +78,10 @@ class TransformStream(PoseStream):
         del message_type  # timestamps are tested per edge
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
-        self._anew_row = 0
-        for key, columns in edges.items():
-            if self._wants(key):
-                self._extend(key, columns)
-        for key in edges.keys() & self._trusts.keys() if self.is_receiver else ():
-            self._receive(key, edges[key], arrived_ns)
+        self._extend({key: self._numbered(item, arrived_ns) for key, item in edges.items()})
+        self._messages += len(payloads)
+        if not self.is_receiver:
+            self._take_certain()
         return self._completed(len(payloads) - 1, arrived_ns)
 
     def _completed(self, row: int, arrived_ns: Stamps) -> tuple[Trajectory, Indices]:
@@ -108,16 +111,13 @@ class TransformStream(PoseStream):
         if self._leading is None:
             return poses
         self._chain = self._chain or ReceivedChain(self._edges, self._way, self._leading)
-        found = self._chain.poses(self._received, at_end=self._is_over)
-        self._received = {}
-        return found
+        certain = {key: item["transform"] for key, item in self._take_certain().items()}
+        return self._chain.poses(certain, at_end=self._is_over)
 
     def last_poses(self) -> Trajectory:
         """Return the states whose timestamps are still under test, at the end of the run."""
         self._is_over = True
-        for key in self._trusts:
-            none = np.empty(0, np.int64)
-            self._extend(key, TransformColumns(none, np.empty((0, 7)), none))
+        self._extend(dict.fromkeys(self._trusts, _NONE))
         return self._completed(0, np.array([UNKNOWN]))[0]
 
     def hold(self, payloads: Sequence[bytes]) -> None:
@@ -140,52 +140,80 @@ class TransformStream(PoseStream):
             self._warn_at = np.inf
             self.news.append(self.trouble)
 
-    def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
-        timed = columns.stamps != 0  # a timestamp that was not set
+    def _numbered(self, columns: TransformColumns, arrived_ns: Stamps) -> _NumberedTransforms:
+        """Return the transforms of an edge in new messages that arrived at times (N,)."""
+        numbered = np.empty(len(columns.rows), _NUMBERED)
+        arrived = arrived_ns[columns.rows]
+        numbered["transform"] = transforms_of(columns.stamps, columns.numbers, arrived)
+        numbered["message"] = self._messages + columns.rows
+        return numbered
+
+    def _extend(self, new: Mapping[EdgeKey, _NumberedTransforms]) -> None:
+        """Take new transforms by edge."""
+        while new:
+            begins = [
+                self._extend_edge(key, transforms)
+                for key, transforms in new.items()
+                if self._wants(key)
+            ]
+            after_steps = [begin for begin in begins if begin is not None]
+            if not after_steps:
+                return
+            first = min(after_steps)
+            new = {key: item[item["message"] >= first] for key, item in self._recent.items()}
+            self._trusts = {}
+            self._drop_moving()
+
+    def _extend_edge(self, key: EdgeKey, transforms: _NumberedTransforms) -> int | None:
+        """Extend an edge; or return the first message after a step back of time, by number."""
+        self._recent[key] = np.concatenate([self._recent.get(key, _NONE), transforms])
+        # A timestamp of 0 was not set.
+        timed = transforms[transforms["transform"]["stamp"] != 0]
         trust = self._trusts.setdefault(key, OutlierStamps())
         before = trust.lone
-        stamps, numbers = trust.take(
-            columns.stamps[timed], columns.numbers[timed], at_end=self._is_over
-        )
+        stamps, trusted = trust.take(timed["transform"]["stamp"], timed, at_end=self._is_over)
         if trust.lone > before:
             self._tell_lone(trust)
             self.status.drop(LONE, trust.lone - before)
         known = self._edges.get(key)
+        if known is not None and known.is_static:
+            known = None
         if self.starts_new_run and len(stamps):
-            last = stamps[:1] if known is None or known.is_static else known.stamps[-1:]
+            last = stamps[:1] if known is None else known.stamps[-1:]
             back = np.flatnonzero(np.diff(np.concatenate([last, stamps])) < -NEAR_NS)
             if len(back):
-                self._drop_moving()
-                self._anew_row = int(columns.rows[max(back[-1] - len(stamps), -len(columns.rows))])
-                stamps, numbers = stamps[back[-1] :], numbers[back[-1] :]
-        new = Edge.from_columns(stamps, numbers, False)
+                return int(trusted["message"][back[-1]])
+        new = Edge.from_columns(stamps, trusted["transform"]["numbers"], is_static=False)
         if key == self._leading and len(new.stamps):
             self._tell_step_back((self._until - int(new.stamps[-1])) / NANOSECONDS)
-        known = self._edges.get(key)
-        self._keep(key, new if known is None or known.is_static else known.joined(new))
+        self._keep(key, new if known is None else known.joined(new))
+        return None
 
-    def _receive(self, key: EdgeKey, columns: TransformColumns, arrived_ns: Stamps) -> None:
-        new = columns.rows >= self._anew_row
-        received = transforms_of(columns.stamps, columns.numbers, arrived_ns[columns.rows])[new]
-        known = np.concatenate([self._received.get(key, NO_TRANSFORMS), received])
-        if not self._way:
-            recent = known["time"][-1:] - round(_MEMORY_S * NANOSECONDS)
-            known = known[known["time"] >= recent]
-        self._received[key] = known[-_MOST_TRANSFORMS:]
+    def _take_certain(self) -> dict[EdgeKey, _NumberedTransforms]:
+        """Return, and forget, transforms that are not after a possible step back of time."""
+        begin = self._messages
+        for key, trust in self._trusts.items() if self.starts_new_run else ():
+            edge = self._edges.get(key)
+            if trust.waiting and edge is not None and trust.waiting[0][0] < edge.stamps[-1]:
+                begin = min(begin, int(trust.waiting[1]["message"][0]))
+        recent = self._recent
+        self._recent = {key: item[item["message"] >= begin] for key, item in recent.items()}
+        return {key: item[item["message"] < begin] for key, item in recent.items()}
 
     def begin_anew(self) -> None:
         """Forget earlier messages."""
-        self._trusts = {}
+        self._trusts, self._is_over = {}, False
         self._drop_moving()
 
     def _drop_moving(self) -> None:
         """Drop moving transforms, because time started again."""
         self._edges = {key: edge for key, edge in self._edges.items() if edge.is_static}
         self._way, self._leading, self._until = [], None, NEVER
-        self._received, self._chain, self._is_over = {}, None, False
+        self._recent, self._chain = {}, None
 
     def _wants(self, key: EdgeKey) -> bool:
-        return key in self._edges or (not self._way and len(self._edges) < _MOST_EDGES)
+        known = self._edges.keys() | self._trusts.keys()
+        return key in self._edges or (not self._way and (key in known or len(known) < _MOST_EDGES))
 
     def _keep(self, key: EdgeKey, edge: Edge) -> None:
         if len(edge.stamps):
@@ -229,3 +257,8 @@ class TransformStream(PoseStream):
                 continue
             recent = int(edge.stamps[-1]) - round(_MEMORY_S * NANOSECONDS)
             self._edges[key] = edge.since(self._until if self._way else recent)[-_MOST_TRANSFORMS:]
+        for key, transforms in self._recent.items():
+            times = transforms["transform"]["time"]
+            begin = times.max(initial=0) - round(_MEMORY_S * NANOSECONDS)
+            kept = (times >= begin) | (times == UNKNOWN) | bool(self._way)
+            self._recent[key] = transforms[kept][-_MOST_TRANSFORMS:]
