@@ -35,11 +35,37 @@ def test_time_that_nobody_told_is_unknown() -> None:
 
 
 def test_time_may_begin_anew() -> None:
-    clock = played(1.0, 10)
-    for row in range(3):
-        clock.see(WALL + (20 + row) * PERIOD, SIMULATED + row * PERIOD)
-    assert clock.at(np.array([WALL + 20 * PERIOD + 7]))[0] == SIMULATED + 7
-    assert clock.at(np.array([WALL + 7]))[0] == UNKNOWN
+    """Times of messages from before the step back stay known, and one new sample is enough."""
+    clock = played(2.0, 10)
+    restart = WALL + 20 * PERIOD
+    clock.see(restart, SIMULATED)
+    last = WALL + 9 * PERIOD
+    walls = np.array([WALL + 7, last + PERIOD // 2, last + 2 * PERIOD, restart - 1, restart + 7])
+    times = np.array([14, 19 * PERIOD, UNKNOWN, UNKNOWN, 14])
+    assert (
+        clock.at(walls).tolist() == np.where(times == UNKNOWN, times, SIMULATED + times).tolist()
+    )
+
+
+@given(
+    delays=st.lists(st.integers(0, PERIOD // 2), min_size=3, max_size=30),
+    after=st.integers(0, PERIOD // 2),
+)
+def test_samples_may_arrive_together(delays: list[int], after: int) -> None:
+    """Every message between two samples has a time between them, also after the newest one."""
+    clock, arrived = ClockSamples(), []
+    for row, delay in enumerate(delays):
+        arrived.append(max(WALL + row * PERIOD + delay, *arrived[-1:], WALL))
+        clock.see(arrived[-1], SIMULATED + row * PERIOD)
+    walls = np.array([*arrived, arrived[-1] + after])
+    times = clock.at(walls)
+    expected = SIMULATED + np.minimum(np.arange(len(walls)), len(delays) - 1) * PERIOD
+    longest = np.diff(arrived).max()
+    assert (times[:-1] >= expected[:-1]).all()
+    if after <= longest:
+        assert expected[-1] <= times[-1] <= expected[-1] + PERIOD
+    else:
+        assert times[-1] == UNKNOWN
 
 
 def test_arrivals_at_unknown_times_are_left_out() -> None:

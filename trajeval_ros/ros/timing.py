@@ -161,6 +161,7 @@ class Latency:
 
 TOPIC, TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 _SAMPLES = 256  # samples that are kept; with /clock at 100 Hz, 2.5 s
+_USUAL_SAMPLES = 20  # newest intervals, whose longest one is extrapolated
 _NS = struct.Struct("<iI")
 _ENCAPSULATION = b"\0\1"  # little-endian CDR, as every node of ROS writes it
 
@@ -176,27 +177,37 @@ class ClockSamples:
 
     def see(self, received: int, time_ns: int) -> None:
         """Add a simulated time and its time of reception, nanoseconds."""
-        if self._samples and (time_ns < self._samples[-1][1] or received < self._samples[-1][0]):
-            self._samples.clear()  # time starts again
+        if self._samples and received < self._samples[-1][0]:
+            self._samples.clear()  # the machine's time steps back
         self._samples.append((received, time_ns))
 
     def at(self, received: Stamps) -> Stamps:
         """Return the simulated time at which messages were received, (N,), nanoseconds.
 
-        After the newest sample, time is extrapolated for at most one interval of samples. Later
-        times, and times before the oldest sample, are `UNKNOWN`.
+        After the newest sample, and after the last one before a step back of simulated time, time
+        is extrapolated by at most one interval of samples. Later times, and times before the
+        oldest sample, are `UNKNOWN`.
         """
-        found = np.full(len(received), UNKNOWN)
-        if len(self._samples) < 2:
-            return found
-        walls, times = np.array(self._samples).T
-        last = walls[-1] - walls[-2]
-        rate = (times[-1] - times[-2]) / max(last, 1)
-        known = (received >= walls[0]) & (received <= walls[-1] + last)
-        # Differences to the newest sample are small; whole times lose digits as float64.
-        between = np.interp(received - walls[-1], walls - walls[-1], times - times[-1])
-        beyond = np.maximum(received - walls[-1], 0) * rate
-        return np.where(known, times[-1] + np.round(between + beyond).astype(np.int64), found)
+        walls, times = np.array(self._samples, dtype=np.int64).reshape(-1, 2).T
+        intervals, steps = np.diff(walls), np.diff(times)
+        forward = steps >= 0
+        if not forward.any():
+            return np.full(len(received), UNKNOWN)
+        # Samples may arrive together: the newest interval alone does not tell the usual one.
+        usual_intervals = intervals[forward][-_USUAL_SAMPLES:]
+        usual_steps = steps[forward][-_USUAL_SAMPLES:]
+        # Another sample has an interval after it only if time did not step back there.
+        lasts = np.append(
+            np.where(forward, intervals, usual_intervals.max()), usual_intervals.max()
+        )
+        rate = usual_steps.sum() / max(int(usual_intervals.sum()), 1)
+        rates = np.append(np.where(forward, steps / np.maximum(intervals, 1), rate), rate)
+        most = np.append(np.where(forward, steps, usual_steps.max()), usual_steps.max())
+        row = np.searchsorted(walls, received, side="right") - 1
+        passed = received - walls[row]
+        # Differences to a sample are small; whole times lose digits as float64.
+        later = np.minimum(np.round(passed * rates[row]).astype(np.int64), most[row])
+        return np.where((row >= 0) & (passed <= lasts[row]), times[row] + later, UNKNOWN)
 
 
 class SimulatedClock:
