@@ -44,8 +44,8 @@ _ALIKE = 2.0  # largest ratio of durations or lengths of the same run
 _STEPS_ALIKE, _SMALL, _TOGETHER = 0.8, 0.5, 10
 # The rooms of EuRoC's sequences are called "Vicon room".
 _GROUNDTRUTH = re.compile(
-    r"(?<![a-z])(gt|(ground.?)?truth|vicon(?!.?room)|mocap|optitrack|qualisys|vrpn|leica|rtk"
-    r"|reference)(?![a-z])",
+    r"(gt|(?<![a-z])((ground.?)?truth|vicon(?!.?room)|mocap|optitrack|qualisys|vrpn|leica|rtk"
+    r"|reference))(?![a-z])",
     re.IGNORECASE,
 )
 _ESTIMATE = re.compile(

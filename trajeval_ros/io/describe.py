@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,11 @@ from trajeval_ros.io.known_systems import KnownSystem, recognised
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 
+_COMMAND = re.compile(
+    r"(?<![a-z])(goal|initial.?pose|clicked|set.?point|way.?points?|plan(ned|ner)?|target|desired"
+    r"|command(ed)?|cmd)(?![a-z])",
+    re.IGNORECASE,
+)
 LONG_GAP_S = 0.5  # association does not interpolate over longer gaps
 
 
@@ -43,7 +49,8 @@ class TrajectorySummary:
     longest_gap_s: float = 0.0  # longest time step, seconds
     fixed: bool = False  # whether the positions are GNSS fixes
     flat: bool = False  # whether all heights are equal
-    could_be: str = ""  # likely role: "groundtruth", "estimate" or "estimate or groundtruth"
+    # Likely role: "groundtruth", "estimate", "estimate or groundtruth" or "command".
+    could_be: str = ""
     # Remarks of the reader, the quality of fixes, and the number of dropped rows by reason.
     remarks: tuple[Remark, ...] = ()
 
@@ -235,6 +242,8 @@ def _could_be(source: str, trajectory: Trajectory) -> str:
     name = topic if is_topic else "/".join(source.split("/")[-2:])
     if is_named_groundtruth(name) or is_named_groundtruth(trajectory.frame):
         return "groundtruth"
+    if is_topic and _COMMAND.search(name):
+        return "command"
     if trajectory.covariances is not None or (
         trajectory.velocities is not None and trajectory.gyroscope_biases is None
     ):

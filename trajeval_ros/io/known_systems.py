@@ -16,7 +16,7 @@ class KnownSystem(NamedTuple):
     name: str
     topic: str  # regular expression of the end of the topic's name, "" for any
     frames: tuple[str | None, str | None]  # frame and child frame; None for any
-    modality: str
+    modality: str  # "" if it can have several
     trap: str  # what to expect
     options: str = ""  # further options of `trajeval evaluate`
 
@@ -41,7 +41,8 @@ _SYSTEMS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("VINS-Fusion", ".*odometry", ("world", "world"), _VIO, "the twist is in the world"),
         ("FAST-LIO", "Odometry", ("camera_init", "body"), "lidar-inertial",
             "covariances have the rotation first"),
-        ("LOAM", ".*", ("camera_init", "aft_mapped"), "lidar",
+        # With or without an IMU: the other topics tell it.
+        ("LOAM", ".*", ("camera_init", "aft_mapped"), "",
             "the frame is of the first scan, not of a camera"),
         ("KISS-ICP", "kiss/odometry", ("odom_lidar", None), "lidar",
             "covariances are parameters"),

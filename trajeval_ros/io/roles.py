@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,19 +22,21 @@ from trajeval_ros.io.sources import Advance
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
 
-GROUNDTRUTH = "groundtruth"
+GROUNDTRUTH, COMMAND = "groundtruth", "command"
 MOST_SOURCES = 20  # in a folder of one run; all of them are read
 # Names of groundtruth in the order of preference: a simulator's or a dataset's, a measured one.
-_PREFERRED = re.compile(r"(?<![a-z])(gt|(ground.?)?truth)(?![a-z])", re.IGNORECASE)
+_PREFERRED = re.compile(r"(gt|(?<![a-z])(ground.?)?truth)(?![a-z])", re.IGNORECASE)
+STILL = 0.01  # of the longest path: a shorter one is a calibration or a marker, no trajectory
 # Sensors by words in an estimate's topic; the first match applies.
 _WORDS = (
-    ("lidar-inertial", r"lio|lvi|fast_?lio"),
+    ("lidar-inertial", r"[a-z]*(lio|livo)|lvi"),
     ("lidar", r"loam|kiss|lidar|g?icp|ndt|hdl|cartographer"),
-    ("stereo-inertial", r"vio|vins|openvins|ov_msckf|msckf|rovio|okvis|basalt|kimera"),
+    ("stereo-inertial", r"[a-z]*(vio|vins)|msckf|okvis|basalt|kimera"),
     ("rgbd", r"rtabmap|rgbd"),
     ("wheel", r"wheels?|diff_?drive|velocity_controller|ackermann|encoders?"),
 )
 _CAMERAS = {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
+_FIXES = 2  # rank of groundtruth from GNSS, the last
 _NO_SENSORS = "sensors unknown; state them with --modality"
 _IMU, _LIDAR = "sensor_msgs/msg/Imu", "sensor_msgs/msg/PointCloud2"
 
@@ -85,14 +88,17 @@ def likely_evaluations(
     only if there is no other. `has_one_gauge`: the user states the gauge, and no sensors follow.
     """
     usable = [summary for summary in description.trajectories if not summary.problem]
+    omitted = _omitted(usable)
+    usable = [summary for summary in usable if summary.source not in omitted]
     references = [summary for summary in usable if summary.could_be == GROUNDTRUTH]
     estimates = [summary for summary in usable if summary.could_be != GROUNDTRUTH]
     best = min(map(_rank, references), default=0)
     likely: list[TrajectorySummary | None] = [
         summary for summary in references if _rank(summary) == best
     ]
-    if not references and len(estimates) == 2:
-        first, second = estimates
+    # No name tells the groundtruth: no topic has a word for it, or both have.
+    if not (references and estimates) and len(usable) == 2 and best != _FIXES:
+        first, second = usable
         return [
             _evaluation(truth, [other], description)
             for truth, other in ((first, second), (second, first))
@@ -111,6 +117,7 @@ def likely_evaluations(
             description,
             others=len(references) - 1,
             has_sensors=not has_one_gauge,
+            omitted=tuple(omitted.values()),
         )
         for truth in likely or [None]
         for group in groups.values()
@@ -149,9 +156,29 @@ def describe_all(
     )
 
 
+def _omitted(summaries: Sequence[TrajectorySummary]) -> dict[str, str]:
+    """Return a sentence for the SOURCEs of commands and of poses that stand still.
+
+    They are no trajectories of the body. Beside no other estimate, none is omitted.
+    """
+    omitted = {}
+    estimates = [summary for summary in summaries if summary.could_be != GROUNDTRUTH]
+    longest = max((summary.path_length_m for summary in summaries), default=0.0)
+    for summary in estimates:
+        reason = ""
+        if summary.could_be == COMMAND:
+            reason = "named as a command"
+        elif summary.path_length_m < STILL * longest:
+            reason = f"moves by {summary.path_length_m:.3g} m in all"
+        if reason:
+            topic = _topic(summary.source)
+            omitted[summary.source] = f"{topic} omitted: {reason}; evaluate it with -e"
+    return omitted if len(omitted) < len(estimates) else {}
+
+
 def _rank(summary: TrajectorySummary) -> int:
     if summary.fixed:
-        return 2
+        return _FIXES
     return 0 if _PREFERRED.search(f"{_topic(summary.source)} {summary.frame}") else 1
 
 
@@ -167,6 +194,7 @@ def _evaluation(
     others: int = 0,
     *,
     has_sensors: bool = True,
+    omitted: tuple[str, ...] = (),
 ) -> LikelyEvaluation:
     modality, why = _sensors(estimates[0], description) if has_sensors else ("", "")
     reasons = []
@@ -180,6 +208,7 @@ def _evaluation(
         f"estimate {_topic(summary.source)}: not named as groundtruth; change it with -e"
         for summary in estimates
     ]
+    reasons += omitted
     if modality:
         reasons.append(f"sensors {modality}: {why}; change them with --modality")
     elif has_sensors:
@@ -198,7 +227,7 @@ def _evaluation(
 def _sensors(estimate: TrajectorySummary, description: Description) -> tuple[str, str]:
     """Return the modality of an estimate and what tells it; two empty texts if nothing does."""
     topic = _topic(estimate.source)
-    if estimate.system is not None:
+    if estimate.system is not None and estimate.system.modality:
         return estimate.system.modality, f"{topic} looks like {estimate.system.name}"
     for modality, words in _WORDS:
         if re.search(rf"(^|[^a-z])({words})([^a-z]|$)", topic, re.IGNORECASE):
@@ -216,6 +245,6 @@ def _sensors(estimate: TrajectorySummary, description: Description) -> tuple[str
     elif _LIDAR in kinds and not cameras:
         base, why = "lidar", "the recording has point clouds"
     if _IMU in kinds:
-        # All modalities with an IMU have one gauge.
-        return f"{base or 'stereo'}-inertial", "the recording has an IMU"
+        why = "the recording has an IMU, and all sensors with an IMU have one gauge"
+        return f"{base or 'stereo'}-inertial", why
     return base, why
