@@ -56,11 +56,11 @@ def about_clock_faults(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]
 
 def about_clock_step(step: Event) -> Remark:
     """Return the warning of a step of one clock."""
-    said = (
+    text = (
         f"{sentence_about(step)}: later poses are paired with those of another time; synchronise "
         "the clocks, then call ~/reset"
     )
-    return warning(step.kind, said, step.side, {"step_s": step.s, "stamp_ns": step.end_ns})
+    return warning(step.kind, text, step.side, {"step_s": step.s, "stamp_ns": step.end_ns})
 
 
 def about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
@@ -73,8 +73,8 @@ def about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Rem
     past_s = estimate.evaluator.settings.limits.past_s
     if abs(apart_s) <= max(_MOST_LATE_S, past_s if math.isfinite(past_s) else 0.0):
         return
-    groundtruth, own = run.groundtruth.stream.arrivals, estimate.source.stream.arrivals
-    offsets = [item.offset_s or 0.0 for item in (own, groundtruth)]
+    groundtruth, estimated = run.groundtruth.stream.arrivals, estimate.source.stream.arrivals
+    offsets = [item.offset_s or 0.0 for item in (estimated, groundtruth)]
     first, second = (with_unit(round(offset, 3), "s") for offset in offsets)
     side = "ahead of" if apart_s > 0.0 else "behind"
     yield warning(
@@ -93,9 +93,9 @@ def about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Rem
 
 def _cause(apart_s: float, run: LiveRun, estimate: LiveEstimate) -> str:
     """Return the likely cause of different clocks, and what to do."""
-    for off_s, said in _TIME_SCALES.items():
+    for off_s, text in _TIME_SCALES.items():
         if abs(abs(apart_s) - off_s) <= _NEAR_SCALE_S:
-            return f"{said}; convert the timestamps, or set time_offset:={-apart_s:.0f}"
+            return f"{text}; convert the timestamps, or set time_offset:={-apart_s:.0f}"
     for source in (run.groundtruth, estimate.source):
         _, stamps = source.stream.arrivals.columns
         if (

@@ -65,7 +65,7 @@ class Status(NamedTuple):
         undrawn: int,
     ) -> Status:
         """Return the present status; numbers in its text change every 10 s at most."""
-        told = most_severe_first(estimate.standing.as_told(remarks))
+        reported = most_severe_first(estimate.standing.as_told(remarks))
         values = _values(run, estimate, snapshot)
         values |= {
             f"{words}, largest since the last status [{unit}]": peaks[name].value
@@ -73,8 +73,8 @@ class Status(NamedTuple):
             if name in peaks
         }
         values["updates not drawn in Rerun"] = undrawn or None
-        text = "; ".join(item.text for item in told) or "evaluating"
-        return cls(told[0].level if told else Level.NOTE, text, values)
+        text = "; ".join(item.text for item in reported) or "evaluating"
+        return cls(reported[0].level if reported else Level.NOTE, text, values)
 
 
 def remarks_about(
@@ -118,8 +118,8 @@ def _about_data(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
             level = Level.WARNING if side.waits_s > _START_S else Level.NOTE
             yield Remark(level, "silence", f"no {what} yet on {side.source}", what)
         elif silent_s > side.stream.patience_s:
-            said = f"no {what} for {silent_s:.0f} s on {side.source}"
-            yield Remark(Level.ERROR, "silence", said, what)
+            text = f"no {what} for {silent_s:.0f} s on {side.source}"
+            yield Remark(Level.ERROR, "silence", text, what)
         if side.stream.trouble is not None:
             yield replace(side.stream.trouble, subject=what)
         if side.mixed:
@@ -138,11 +138,11 @@ def _about_unusable(
     unusable = {reason: count for reason, count in dropped.items() if reason in NO_STATE}
     count = sum(unusable.values())
     if _are_many(count, used):
-        said = (
+        text = (
             f"{source}: {_MANY} of the poses are unusable and dropped: "
             f"{', '.join(map(in_words, unusable))}"
         )
-        yield warning("data", said, f"unusable_{what}", {"value": count / (count + used)})
+        yield warning("data", text, f"unusable_{what}", {"value": count / (count + used)})
 
 
 def _are_many(count: int, others: int) -> bool:
@@ -180,17 +180,17 @@ def _about_lateness(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
     late_s = estimate.status.stream.arrival_after(run.groundtruth_status.stream)
     if late_s is None or late_s <= _LATE_S:
         return
-    said = (
+    text = (
         f"poses arrive {late_s:.1f} s (95th percentile) after the groundtruth of the same time: "
         "the estimator or its sensor is too slow"
     )
-    yield warning("late", said, values={"value": late_s, "limit": _LATE_S})
+    yield warning("late", text, values={"value": late_s, "limit": _LATE_S})
 
 
 def about_integrity(snapshot: Snapshot) -> list[Remark]:
     """Report the region of the Stanford diagram of the newest pair, unless it is nominal."""
     parts = () if snapshot.integrity is None else snapshot.integrity.parts
-    found = []
+    remarks = []
     for part in parts:
         error, level, limit = float(part.errors[-1]), float(part.levels[-1]), part.alert_limit
         if max(error, level) <= limit and error <= level:
@@ -198,15 +198,15 @@ def about_integrity(snapshot: Snapshot) -> list[Remark]:
         is_hazardous = level <= limit < error
         misleading = "hazardously misleading" if is_hazardous else "misleading"
         state = "unavailable" if error <= level else misleading
-        said = (
+        text = (
             f"integrity, {part.part}: {state}: error {error:.3g}, protection level {level:.3g}, "
             f"alert limit {limit:g} {part.unit}"
         )
         values: dict[str, float | str] = {"value": error, "level": level}
         values |= {"limit": limit, "unit": part.unit}
         severity = Level.ERROR if is_hazardous else Level.WARNING
-        found.append(Remark(severity, "alarm", said, f"integrity_{part.part}", values))
-    return found
+        remarks.append(Remark(severity, "alarm", text, f"integrity_{part.part}", values))
+    return remarks
 
 
 def _about_start(run: LiveRun) -> Iterator[Remark]:
@@ -216,8 +216,8 @@ def _about_start(run: LiveRun) -> Iterator[Remark]:
     if run.start.waits_for:
         yield Remark(Level.NOTE, "alignment", f"evaluation waits for {run.start.waits_for}")
     if body.why_not and (not run.holds or body.transform is not None):
-        said = f"hand_eye:={body.source} is not applied: {body.why_not}"
-        yield warning("hint", said, "hand_eye")
+        text = f"hand_eye:={body.source} is not applied: {body.why_not}"
+        yield warning("hint", text, "hand_eye")
 
 
 def _about_run(
@@ -235,8 +235,8 @@ def _about_run(
     if snapshot.why_not_consistency and not snapshot.warming_up:
         why, _, advice = snapshot.why_not_consistency.partition("; ")
         # The evaluation of files has one more option, a joint covariance.
-        said = f"no NEES: {why}" + ("; use covariance:=none" if "--covariance" in advice else "")
-        yield warning("hint", said, "covariance")
+        text = f"no NEES: {why}" + ("; use covariance:=none" if "--covariance" in advice else "")
+        yield warning("hint", text, "covariance")
     if snapshot.about_yaw is not None:
         yield snapshot.about_yaw
     if doubt := snapshot.doubts.reasons.get(Premise.UP_AXIS):
@@ -247,8 +247,8 @@ def _about_run(
     if forgotten := estimate.evaluator.buffer.why_forgotten:
         yield warning("delay", forgotten)
     if trouble := run.states_file.trouble or estimate.states_file.trouble:
-        said = f"results can't be written to {run.folder}: {trouble}"
-        yield Remark(Level.ERROR, "disk", said)
+        text = f"results can't be written to {run.folder}: {trouble}"
+        yield Remark(Level.ERROR, "disk", text)
     elif snapshot.pairs and run.finisher.trouble:
         yield warning("result", f"no result: {run.finisher.trouble}")
 
@@ -260,11 +260,11 @@ def _about_twins(node: Node) -> list[Remark]:
     names = [f"{namespace.rstrip('/')}/{item}" for item, namespace in everybody]
     if names.count(name) < 2:
         return []
-    said = (
+    text = (
         f"{names.count(name)} nodes have the name {name} and publish on the same topics; start "
         "them with different names, as in --ros-args -r __node:=evaluator_2"
     )
-    return [warning("hint", said, "name")]
+    return [warning("hint", text, "name")]
 
 
 def _values(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> dict[str, Any]:
@@ -355,8 +355,10 @@ class StatusReports:
         They are added to `news`, unless their text was logged.
         """
         # Every discontinuity was published as an event.
-        told = estimate.standing.renew(remark for remark in remarks if remark.subject != SUMMARY)
-        for item in told:
+        reported = estimate.standing.renew(
+            remark for remark in remarks if remark.subject != SUMMARY
+        )
+        for item in reported:
             if self._events.publish(estimate.name, item) and item.text not in logged:
                 news.setdefault((item.level, item.text), []).append(estimate.name)
-        self._watching.see(told)
+        self._watching.see(reported)

@@ -33,12 +33,12 @@ _NEW_RUN = "one alignment can't fit them; to start a new run, call ~/reset or se
 
 def about_event(event: Event) -> Remark:
     """Return the remark about a discontinuity; its code is the kind."""
-    said = sentence_about(event)
+    text = sentence_about(event)
     if event.certainty == DECLARED:
-        said = "the estimator declares a reset; to start a new run there, set on_restart"
+        text = "the estimator declares a reset; to start a new run there, set on_restart"
     values = {**dataclasses.asdict(event), "stamp_ns": event.end_ns}
     del values["innovations"]
-    return Remark(_level(event), event.kind, said, event.side, values)
+    return Remark(_level(event), event.kind, text, event.side, values)
 
 
 def lasts(event: Event) -> bool:
@@ -57,9 +57,9 @@ def about_steps(estimate: LiveEstimate) -> Iterator[Remark]:
         and id(event) not in frozen
     ]
     if events:
-        said, is_parted = summary_of(events), any(event.kind in PARTING for event in events)
+        text, is_parted = summary_of(events), any(event.kind in PARTING for event in events)
         code = max(events, key=lambda event: event.ratio).kind
-        yield warning(code, f"{said}; {_NEW_RUN}" if is_parted else said, SUMMARY)
+        yield warning(code, f"{text}; {_NEW_RUN}" if is_parted else text, SUMMARY)
 
 
 def about_frozen(estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Remark]:

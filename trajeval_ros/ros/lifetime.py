@@ -65,8 +65,8 @@ def quoted(arguments: Sequence[str]) -> list[str]:
     YAML allows a colon in a plain item, as in [/odom,/tf:odom.base_link]; the parser of ROS fails.
     """
 
-    def with_quotes(found: re.Match[str]) -> str:
-        return f"{found[1]}{json.dumps([word.strip() for word in found[2].split(',')])}"
+    def with_quotes(match: re.Match[str]) -> str:
+        return f"{match[1]}{json.dumps([word.strip() for word in match[2].split(',')])}"
 
     return [
         _LIST.sub(with_quotes, argument) if _LIST.fullmatch(argument) else argument
@@ -91,10 +91,10 @@ def ros(arguments: Sequence[str] = ()) -> Iterator[StopSignal]:
         try:
             rclpy.init(args=quoted(arguments), signal_handler_options=SignalHandlerOptions.NO)
         except Exception as error:  # of several private kinds
-            said = " ".join(str(error).split())
+            reason = " ".join(str(error).split())
             raise SettingsError(
-                f"ROS can't start with {' '.join(arguments)}: {said}; in lists, put topics with a "
-                'colon in quotes, as in ["/odom", "/tf:odom.base_link"]'
+                f"ROS can't start with {' '.join(arguments)}: {reason}; in lists, put topics with "
+                'a colon in quotes, as in ["/odom", "/tf:odom.base_link"]'
             ) from error
         yield stop
     finally:

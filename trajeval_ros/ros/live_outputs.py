@@ -105,12 +105,12 @@ class RevisedOutputs(_Topics):
     ) -> None:
         """Publish the errors, the alignment and the aligned path of its newest version."""
         stamps, positions = evaluation.aligned.stamps, evaluation.aligned.positions
-        found = [(topics.ATE, evaluation.ate)]
-        found += [
+        evaluated = [(topics.ATE, evaluation.ate)]
+        evaluated += [
             (topics.relative_error_topic(str(item.length)), item.statistics)
             for item in evaluation.relative or ()
         ]
-        for topic, statistics in found:
+        for topic, statistics in evaluated:
             position, rotation = statistics["position_m"], statistics["rotation_deg"]
             if position is not None:
                 rotation_deg = None if rotation is None else rotation.rmse
@@ -172,8 +172,8 @@ class Outputs(_Topics):
             if not self._publishers[topic].get_subscription_count():
                 continue  # vectors without a subscriber are not computed
             for errors in update.errors:
-                found = topics.vectors_of(errors, topic, offset_ns)
-                self._publish_vectors(topic, *found, frame)
+                vectors = topics.vectors_of(errors, topic, offset_ns)
+                self._publish_vectors(topic, *vectors, frame)
         for name, numbers_of in topics.NUMBERS.items() if update.errors else ():
             numbers = numbers_of(update.errors[-1])
             self._publish(name, None if numbers is None else float(numbers[-1]))
@@ -244,8 +244,8 @@ class FrameBroadcaster:
             why = f"{child_frame} is also the frame of {owner}, and a frame has only one parent"
         self._refused.pop(name, None)
         if why:
-            said = f"broadcast_tf:=true has no effect for {name}: {why}"
-            self._refused[name] = warning("hint", said, "broadcast_tf")
+            text = f"broadcast_tf:=true has no effect for {name}: {why}"
+            self._refused[name] = warning("hint", text, "broadcast_tf")
             return
         pose = np.concatenate([alignment.translation, alignment.rotation_xyzw])
         stamps = np.array([stamp + self._tolerance_ns])

@@ -308,8 +308,8 @@ class LiveRun:
         for estimate in self.estimates:
             estimate.evaluator.set_gauge(Gauge.YAW)
             estimate.clock = OnlineClock(Gauge.YAW, self.plan.worker)
-        said = f"{self.groundtruth.source}: GNSS fixes; the alignment uses gauge yaw"
-        self.news.append(Remark(Level.NOTE, "alignment", said))
+        text = f"{self.groundtruth.source}: GNSS fixes; the alignment uses gauge yaw"
+        self.news.append(Remark(Level.NOTE, "alignment", text))
 
     def _keep_fixes(self, stamps: Stamps, fixes: Fixes) -> None:
         """Write the original fixes to disk, because states do not contain their quality."""

@@ -193,8 +193,8 @@ class LiveRuns:
                 self.current.decide(at_end=True)
                 while self.current.restarted is not None:
                     self._begin_after_restart()
-            said = f"time of {self._sources[place].source} stepped back by {back_s:.1f} s"
-            self._follow(self.current.following(self._new_folder(), said))
+            reason = f"time of {self._sources[place].source} stepped back by {back_s:.1f} s"
+            self._follow(self.current.following(self._new_folder(), reason))
             runs = self._open
             follower = len(runs) - 1
         self._pass(place, runs[follower])

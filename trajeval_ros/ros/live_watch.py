@@ -121,8 +121,8 @@ class LiveWatch:
         )
 
     def _take_estimate(self, kind: str, taken: ReceivedMessages, arrived: Stamps) -> Signals:
-        found = _poses(self._estimate, kind, taken, arrived)
-        stamps, positions, quaternions, velocities, covariances, received = found
+        columns = _poses(self._estimate, kind, taken, arrived)
+        stamps, positions, quaternions, velocities, covariances, received = columns
         up = self._estimate.up(None).matrix[2]
         self.watchdog.add_covariances(stamps, covariances, up)
         if np.isfinite(velocities).any():
@@ -140,8 +140,8 @@ class LiveWatch:
                 self._latest[name] = second, max(largest, known) if before == second else largest
 
     def _news(self) -> list[str]:
-        found = [*self.watchdog.notices, *self._unseen]
-        news = [item for item in found if item not in self._told]
+        notices = [*self.watchdog.notices, *self._unseen]
+        news = [item for item in notices if item not in self._told]
         self._told += news
         return news
 

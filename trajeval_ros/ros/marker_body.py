@@ -153,17 +153,17 @@ class MarkerBody:
         return self.hand_eye.names(groundtruth, estimate, of_marker=self.of_marker)
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """A sentence for the warnings of the results; empty if there is nothing to report."""
         if self.why_not:
             return f"hand_eye {self.source} not applied: {self.why_not}"
         if self.hand_eye is None or self.source != AUTO:
             return ""
-        turned_deg = float(np.degrees(lie.angle(self.hand_eye.rotation_xyzw)))
+        angle_deg = float(np.degrees(lie.angle(self.hand_eye.rotation_xyzw)))
         x, y, z = self.hand_eye.lever_m.tolist()
         without = f", {' and '.join(self._without)}" if self._without else ""
         return (
-            f"marker pose: rotation {turned_deg:.1f} deg, position ({x:.3f}, {y:.3f}, {z:.3f}) m "
+            f"marker pose: rotation {angle_deg:.1f} deg, position ({x:.3f}, {y:.3f}, {z:.3f}) m "
             f"in the body frame{without}; estimated from the start of the run and applied"
         )
 

@@ -148,10 +148,10 @@ class EvaluatorNode:
     def _begin_run(self, ended: LiveRun, begun: LiveRun) -> None:
         self._pictures[begun] = self._new_picture(begun, self._pictures[ended])
         why = f"{begun.began_by}; " if begun.began_by else ""
-        said = f"{why}previous results are in {ended.folder}, new results in {begun.folder}"
-        self._log(said)
+        text = f"{why}previous results are in {ended.folder}, new results in {begun.folder}"
+        self._log(text)
         values = {"folder": str(begun.folder)}
-        self._events.publish("run", Remark(Level.NOTE, "restart", said, values=values))
+        self._events.publish("run", Remark(Level.NOTE, "restart", text, values=values))
 
     def _close_run(self, run: LiveRun, troubles: list[str]) -> None:
         self._pictures.pop(run).end()
@@ -257,11 +257,11 @@ class EvaluatorNode:
                 if self._events.publish(source.name, item):
                     self._log(item.text, item.level)
         if self._points is not None:
-            for said in self._points.match():
-                self._log(said)
+            for text in self._points.match():
+                self._log(text)
         self._watching.match()
-        if run.body.transform is not None and (said := run.body.transform.match()):
-            self._log(said)
+        if run.body.transform is not None and (text := run.body.transform.match()):
+            self._log(text)
 
     def save(self) -> None:
         """Write counts, the file of metrics and, periodically, results."""
@@ -310,8 +310,8 @@ class EvaluatorNode:
             ended.body.transform.leave()
         self._match()
         begun = self._runs.current
-        said = f"previous results are in {ended.folder}, new results in {begun.folder}"
-        return _answered(response, said, success=True)
+        text = f"previous results are in {ended.folder}, new results in {begun.folder}"
+        return _answered(response, text, success=True)
 
     def _start(self, request: Any, response: Any) -> Any:
         """Handle ~/start: begin a run after ~/stop, or continue it after ~/pause."""
@@ -345,10 +345,10 @@ class EvaluatorNode:
         self._tell_run(response, f"the run in {run.folder} has ended")
         return await self._save(request, response)
 
-    def _tell_run(self, response: Any, said: str) -> Any:
-        self._log(said)
-        self._events.publish("run", Remark(Level.NOTE, "run", said))
-        return _answered(response, said, success=True)
+    def _tell_run(self, response: Any, text: str) -> Any:
+        self._log(text)
+        self._events.publish("run", Remark(Level.NOTE, "run", text))
+        return _answered(response, text, success=True)
 
     def _set(self, changes: list[Any]) -> Any:
         from rcl_interfaces.msg import SetParametersResult

@@ -108,11 +108,11 @@ class Finisher:
 
     def _end(self) -> bool:
         assert self._process is not None
-        _, said = self._process.communicate()
+        _, printed = self._process.communicate()
         status, self._process = self._process.returncode, None
         self._took_s = time.monotonic() - self._began
         self._next_at = self._began + max(self.least_period_s, self._took_s)
-        lines = [line.removeprefix("trajeval: ") for line in (said or "").splitlines()]
+        lines = [line.removeprefix("trajeval: ") for line in (printed or "").splitlines()]
         self.trouble = "" if status == 0 else (lines[-1] if lines else f"exit status {status}")
         return status == 0
 

@@ -60,8 +60,8 @@ def declare(node: Node) -> dict[str, Any]:
         try:
             declared = node.declare_parameter(parameter.name, parameter.default, descriptor)
         except Exception as error:  # rclpy's exceptions here have no common base class
-            said = " ".join(str(error).split())
-            raise SettingsError(f"parameter {parameter.name} is not valid: {said}") from error
+            reason = " ".join(str(error).split())
+            raise SettingsError(f"parameter {parameter.name} is not valid: {reason}") from error
         values[parameter.name] = converted(parameter, declared.value)
     needed = (
         ["estimate_topics"] if values["watch_factor"] else ["groundtruth_topic", "estimate_topics"]
@@ -88,25 +88,27 @@ def declare(node: Node) -> dict[str, Any]:
 def about_unknown(node: Node) -> list[str]:
     """Return one sentence per parameter that is set but not declared, such as a typo."""
     names = [parameter.name for parameter in PARAMETERS]
-    found = []
+    problems = []
     for name in getattr(node, "_parameter_overrides", {}):
         if node.has_parameter(name):
             continue
         if name.startswith("qos_overrides."):
-            found.append(
+            problems.append(
                 f"parameter {name} has no effect: a subscription has the reliability and "
                 "durability that all publishers of its topic offer"
             )
             continue
         near = get_close_matches(name, names, n=1)
-        found.append(f"unknown parameter {name}" + (f"; did you mean {near[0]}?" if near else ""))
-    return found
+        problems.append(
+            f"unknown parameter {name}" + (f"; did you mean {near[0]}?" if near else "")
+        )
+    return problems
 
 
 def converted(parameter: NodeParameter, value: Any) -> Any:
     """Return a value of the parameter's type; a SettingsError if type or range do not fit."""
-    wanted, name = parameter.default, parameter.name
-    if isinstance(wanted, bool):
+    default, name = parameter.default, parameter.name
+    if isinstance(default, bool):
         if isinstance(value, bool):
             return value
         raise SettingsError(f"parameter {name} must be true or false, not {value!r}")
@@ -116,20 +118,20 @@ def converted(parameter: NodeParameter, value: Any) -> Any:
             f"parameter {name} can't be {str(value).lower()}, which is also the meaning of yes, "
             f"no, on and off in YAML{choices}"
         )
-    if isinstance(wanted, float) and isinstance(value, int | float):
+    if isinstance(default, float) and isinstance(value, int | float):
         low, high = parameter.range or (float(value), float(value))
         if low <= value <= high:
             return float(value)
         raise SettingsError(f"parameter {name} must be from {low:g} to {high:g}, not {value:g}")
-    if isinstance(wanted, list) and isinstance(value, str | list):
+    if isinstance(default, list) and isinstance(value, str | list):
         return [str(item) for item in ([value] if isinstance(value, str) else value) if item]
-    if isinstance(wanted, str) and isinstance(value, str | int | float):
+    if isinstance(default, str) and isinstance(value, str | int | float):
         if isinstance(value, float):
             value = np.format_float_positional(value, trim="-")
         if parameter.choices and str(value) not in ("", *parameter.choices):
             require_one_of(str(value), parameter.choices, f"value of parameter {name}")
         return str(value)
-    kind = {list: "a list of topics", str: "a text", float: "a number"}[type(wanted)]
+    kind = {list: "a list of topics", str: "a text", float: "a number"}[type(default)]
     raise SettingsError(f"parameter {name} must be {kind}, not {value!r}")
 
 
@@ -178,15 +180,15 @@ def alarm_limits_of(values: dict[str, Any]) -> dict[str, AlarmLimits]:
 
 def metadata_of(values: dict[str, Any]) -> dict[str, str]:
     """Return the facts about the run by name; a fact without one raises a SettingsError."""
-    found = {}
+    facts = {}
     for item in values["metadata"]:
         name, equals, value = item.partition("=")
         if not name.strip() or not equals:
             raise SettingsError(
                 f"parameter metadata must be facts as in operator=Ann, not {item!r}"
             )
-        found[name.strip()] = value.strip()
-    return found
+        facts[name.strip()] = value.strip()
+    return facts
 
 
 def names_frames(hand_eye: str) -> bool:

@@ -35,9 +35,9 @@ class PointTopic:
 
     def match(self) -> list[str]:
         """Connect to the present publishers; return sentences for the log."""
-        said = [item for item in (self._input.match(), *self._news) if item]
+        texts = [item for item in (self._input.match(), *self._news) if item]
         self._news.clear()
-        return said
+        return texts
 
     def take(self) -> Iterator[tuple[int, Floats]]:
         """Yield timestamp, ns, and points (N, 3), metres, of the new scans."""

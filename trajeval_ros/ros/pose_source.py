@@ -40,8 +40,8 @@ class PoseSource:
         try:
             self.source = node.resolve_topic_name(topic) + colon + frames  # after remapping
         except Exception as error:  # rclpy's exceptions here have no common base class
-            said = " ".join(str(error).split())
-            raise SettingsError(f"{topic!r} is not a topic name: {said}") from error
+            reason = " ".join(str(error).split())
+            raise SettingsError(f"{topic!r} is not a topic name: {reason}") from error
         self.name = part_of_topic(self.source)  # in topics and files; see `name_apart`
         self._waits_since = time.monotonic()
         self.stream: PoseStream  # decodes the messages
@@ -67,10 +67,10 @@ class PoseSource:
 
     def match(self) -> list[Remark]:
         """Connect to the present publishers; return remarks."""
-        told = [about_publishers(said) for item in self.inputs if (said := item.match())]
+        remarks = [about_publishers(text) for item in self.inputs if (text := item.match())]
         topic = self.inputs[0]
         if topic.senders.restarted() and not isinstance(self.stream, TransformStream):
-            told.append(warning("restart", f"{self.source}: its publisher was restarted"))
+            remarks.append(warning("restart", f"{self.source}: its publisher was restarted"))
         if len(topic.publishers) < 2:
             topic.senders.begin_anew()
         if isinstance(self.stream, TransformStream):
@@ -78,13 +78,13 @@ class PoseSource:
         if self.mixed:
             self.stream.status.note(warning("mixed_publishers", self.mixed))
         news, self.stream.news = self.stream.news, []
-        return [*told, *news]
+        return [*remarks, *news]
 
     def take(
         self, time_at: TimeAt | None
     ) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
         """Return type, messages and their times of arrival, by input."""
-        found = []
+        messages = []
         for item in self.inputs:
             taken = item.take()
             if isinstance(self.stream, TransformStream) and item.is_static:
@@ -93,8 +93,8 @@ class PoseSource:
                 arrived = np.array(taken.received, dtype=np.int64)
                 if time_at is not None:
                     arrived = time_at(arrived)
-                found.append((item.type, taken, arrived))
-        return found
+                messages.append((item.type, taken, arrived))
+        return messages
 
     def discard(self) -> None:
         """Drop the messages that have arrived, except static transforms."""
@@ -149,10 +149,10 @@ class PoseSource:
         return TransformStream(self.source, parent, child)
 
 
-def about_publishers(said: str) -> Remark:
+def about_publishers(text: str) -> Remark:
     """Return the remark of a sentence of `TopicInput.match`."""
-    level = Level.NOTE if said.startswith("subscribed") else Level.WARNING
-    return Remark(level, "publishers", said)
+    level = Level.NOTE if text.startswith("subscribed") else Level.WARNING
+    return Remark(level, "publishers", text)
 
 
 def name_apart(sources: list[PoseSource], namespace: str) -> None:

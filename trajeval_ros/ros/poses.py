@@ -176,18 +176,18 @@ class PoseStream:
 
     def _usable(self, columns: PoseColumns) -> UsablePoses:
         """Return the poses with a timestamp; count the others and note changes of frames."""
-        found = usable_poses(columns, columns.stamps != 0, self._frames)
-        for reason, number in found.dropped.items():
+        usable = usable_poses(columns, columns.stamps != 0, self._frames)
+        for reason, number in usable.dropped.items():
             self.status.drop(reason, number)
         if columns.frames:
             if self._frames is None:
                 _, self.status.frame, self.status.child_frame = columns.frames[0]
             self._frames = columns.frames[-1]
-        for one, other in found.frame_changes:
+        for one, other in usable.frame_changes:
             before, now = (" of ".join(filter(None, item[:0:-1])) for item in (one, other))
-            said = f"{self._topic}: the frame changes from {before} to {now}"
-            self._tell("frame_changed", "frame", said)
-        return found
+            text = f"{self._topic}: the frame changes from {before} to {now}"
+            self._tell("frame_changed", "frame", text)
+        return usable
 
     def _states(self, columns: PoseColumns, arrived_ns: Stamps) -> tuple[Trajectory, Indices]:
         """Return the valid poses, and the rows of their messages; count the others."""
@@ -219,18 +219,18 @@ class PoseStream:
         if columns.flags is None or not len(columns.stamps):
             return
         joined = columns if self._counted is None else self._counted.joined(columns)
-        found = declared_resets(joined)
-        self.resets += [item.stamp_ns for item in found]
-        self.status.resets = [*self.status.resets, *found][:_MOST_RESETS]
+        resets = declared_resets(joined)
+        self.resets += [item.stamp_ns for item in resets]
+        self.status.resets = [*self.status.resets, *resets][:_MOST_RESETS]
         self._counted = columns.rows_of(np.array([len(columns.stamps) - 1]))
 
     def _fix_states(self, columns: PoseColumns, arrived_ns: Stamps) -> tuple[Trajectory, Indices]:
         """Return the used fixes, in metres, without those that have no timestamp."""
         status = self.status
         antennas = [antenna for _, antenna, _ in columns.frames]
-        own = [(row, FRAME, antenna) for row, antenna, _ in columns.frames]
-        found = self._usable(replace(columns, frames=own))
-        columns = found.columns
+        frames = [(row, FRAME, antenna) for row, antenna, _ in columns.frames]
+        usable = self._usable(replace(columns, frames=frames))
+        columns = usable.columns
         assert columns.fix_quality is not None
         kept, positions, fixes, dropped = self.fixes.placed(
             columns.stamps, columns.positions, columns.fix_quality
@@ -238,7 +238,7 @@ class PoseStream:
         status.datum = self.fixes.datum
         for reason, number in dropped.items():
             status.drop(reason, number)
-        self._see_trouble(len(positions), add_counts(found.dropped, dropped))
+        self._see_trouble(len(positions), add_counts(usable.dropped, dropped))
         if (mixed := self.fixes.mixed(antennas)) and status.note(note("frame_changed", mixed)):
             self.news.append(warning("data", f"{self._topic}: {mixed}"))
         columns = columns.rows_of(kept)
@@ -290,8 +290,8 @@ class PoseStream:
             self.trouble = None
         elif sum(self._in_a_row.values()) >= _TROUBLE_AFTER:
             why = self.fixes.why_none or ", ".join(map(in_words, self._in_a_row))
-            said = f"{self._topic}: no message with a valid pose ({why})"
-            self.trouble = Remark(Level.ERROR, "data", said)
+            text = f"{self._topic}: no message with a valid pose ({why})"
+            self.trouble = Remark(Level.ERROR, "data", text)
             if not self._is_told:
                 self._is_told = True
                 self.news.append(self.trouble)
@@ -310,19 +310,19 @@ class PoseStream:
             return  # the new run reports it
         if self.status.has(_STEPS_BACK) or back_s < NEAR_NS / NANOSECONDS:
             return
-        said = (
+        text = (
             f"{self._topic}: timestamps step back by {back_s:.1f} s, as after a restart of a "
             "clock or bag; older poses are excluded from live values; to start a new run, "
             "call ~/reset or set on_time_jump"
         )
-        self._tell(_STEPS_BACK, "restart", said, {"back_s": back_s})
+        self._tell(_STEPS_BACK, "restart", text, {"back_s": back_s})
 
     def _tell(
-        self, code: str, event: str, said: str, values: Mapping[str, float] | None = None
+        self, code: str, event: str, text: str, values: Mapping[str, float] | None = None
     ) -> None:
         """Store a new note, and publish it as a warning with the code of an event."""
-        if self.status.note(note(code, said)):
-            self.news.append(warning(event, said, values=values))
+        if self.status.note(note(code, text)):
+            self.news.append(warning(event, text, values=values))
 
 
 def arrivals_of(states: Trajectory) -> Stamps:

@@ -72,14 +72,14 @@ def _recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
 
 
 def _side(status: StreamStatus, up: UpAxis) -> dict[str, Any]:
-    told = about_resets(status.resets, status.first)
+    resets = about_resets(status.resets, status.first)
     return {
         "frame": status.frame,
         "child_frame": status.child_frame,
         "up": asdict(up),
         "dropped": status.dropped,
         "resets": status.resets,
-        "notes": [remark_json(remark) for remark in (*status.remarks, *told)],
+        "notes": [remark_json(remark) for remark in (*status.remarks, *resets)],
     }
 
 
@@ -95,12 +95,12 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
         yield about_clock_step(estimate.stepped)
     for remark in about_different_clocks(run, estimate):
         yield replace(remark, code=f"clock_{remark.subject}")
-    for code, said in (
+    for code, text in (
         ("clock_offset", run.start.about_clocks),
-        ("marker", run.body.said),
+        ("marker", run.body.text),
     ):
-        if said:
-            yield warning(code, said)
+        if text:
+            yield warning(code, text)
     for source, file in (
         (run.groundtruth, run.states_file),
         (estimate.source, estimate.states_file),
@@ -127,17 +127,19 @@ def groundtruth_dropped(run: LiveRun, estimate: LiveEstimate) -> dict[str, int]:
 
 def why_no_pair(run: LiveRun) -> str:
     """Return why there are no pairs: the number of poses per topic, and reasons."""
-    found = [(run.groundtruth, run.groundtruth_status, groundtruth_dropped(run, run.estimates[0]))]
+    streams = [
+        (run.groundtruth, run.groundtruth_status, groundtruth_dropped(run, run.estimates[0]))
+    ]
     for item in run.estimates:
         dropped = add_counts(item.status.dropped, item.evaluator.buffer.dropped)
-        found.append((item.source, item.status, dropped))
+        streams.append((item.source, item.status, dropped))
     counts = [
         f"{counted(status.poses, 'pose')} on {source.source}"
         + (f" ({reasons(dropped)})" if dropped else "")
-        for source, status, dropped in found
+        for source, status, dropped in streams
     ]
     clocks = (
         remark.text for estimate in run.estimates for remark in about_clock_faults(run, estimate)
     )
-    said = "no pairs of estimate and groundtruth, no result: " + ", ".join(counts)
-    return "; ".join([said, *clocks])
+    text = "no pairs of estimate and groundtruth, no result: " + ", ".join(counts)
+    return "; ".join([text, *clocks])

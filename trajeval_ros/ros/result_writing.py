@@ -37,8 +37,8 @@ class ResultWriting:
         for item in self._past:
             if item.poll():
                 failed = f"results can't be written to {item.folder}: {item.trouble}"
-                said = failed if item.trouble else f"results of {item.folder} are complete"
-                self._log(said, _level(item.trouble))
+                text = failed if item.trouble else f"results of {item.folder} are complete"
+                self._log(text, _level(item.trouble))
         self._past = [item for item in self._past if item.is_busy]
         if self._autosaving.is_due(finisher, period_s):
             self._begin()

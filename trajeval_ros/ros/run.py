@@ -64,9 +64,9 @@ def evaluate_live(arguments: Sequence[str]) -> int:
         try:
             node = Node("evaluator")
         except Exception as error:  # rclpy's exceptions here have no common base class
-            said = " ".join(str(error).split())
+            reason = " ".join(str(error).split())
             raise SettingsError(
-                f"the node can't start: {said}; use_sim_time must be true or false"
+                f"the node can't start: {reason}; use_sim_time must be true or false"
             ) from error
         work = _evaluator_or_watch(node)
         lower_priority()

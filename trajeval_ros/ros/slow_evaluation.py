@@ -42,7 +42,7 @@ def hints_about(
     of_clocks: bool,
 ) -> list[Remark]:
     """Return the mistakes that are found in pairs without losses, and differences of frames."""
-    found = [("frames", remark.text) for remark in about_frames(*bodies)]
+    texts = [("frames", remark.text) for remark in about_frames(*bodies)]
     plain = replace(protocol, lengths=(), align_states=None, align_with="positions")
     if len(pairs):
         some = association_of(pairs, plain)
@@ -50,14 +50,14 @@ def hints_about(
         if some.estimate.duration_s < _OTHER_RUN_FROM_S:
             left_out = left_out | {"other_run"}
         diagnosis, _ = diagnose(some.groundtruth, some.estimate, Request(plain), some, losses)
-        found += [
+        texts += [
             (finding.cause, finding.text)
             for finding in diagnosis.findings
             if finding.cause not in left_out
         ]
     return [
         warning("hint", in_names_of_settings(text, ":=", PARAMETER_NAMES), subject)
-        for subject, text in found
+        for subject, text in texts
     ]
 
 
@@ -94,14 +94,14 @@ class SlowEvaluation:
         of_clocks: bool,
     ) -> bool:
         """Collect results, and start again if due; return whether a path was evaluated."""
-        found = self._task.take()
-        if found is not None:
-            self.hints = self.hints if found.hints is None else found.hints
-            self.revised = found.revised or self.revised
+        result = self._task.take()
+        if result is not None:
+            self.hints = self.hints if result.hints is None else result.hints
+            self.revised = result.revised or self.revised
         if self._task.trouble:
-            said = f"no test for mistakes: it has failed ({self._task.trouble}); report the defect"
-            self.hints = [warning("hint", said, "diagnosis")]
-        has_revised = found is not None and found.revised is not None
+            text = f"no test for mistakes: it has failed ({self._task.trouble}); report the defect"
+            self.hints = [warning("hint", text, "diagnosis")]
+        has_revised = result is not None and result.revised is not None
         if not self._task.is_due:
             return has_revised
         some = newest = None

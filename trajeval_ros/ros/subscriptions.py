@@ -249,12 +249,12 @@ def _never(message: Any) -> None:
 
 def _publishers_of(node: Node, name: str, types: tuple[str, ...]) -> list[Any]:
     """Return the endpoints that publish a topic with one of the types, all of one type."""
-    found = [
+    publishers = [
         item
         for item in node.get_publishers_info_by_topic(name)
         if item.topic_type in types and is_installed(item.topic_type)
     ]
-    return [item for item in found if item.topic_type == found[0].topic_type]
+    return [item for item in publishers if item.topic_type == publishers[0].topic_type]
 
 
 def _why_unmatched(node: Node, name: str, types: tuple[str, ...]) -> str:

@@ -74,14 +74,14 @@ class Arrivals:
         Returned are differences (K,), ns, and which messages are compared (N,): those that arrive
         between two messages without a step of the clock between these.
         """
-        times, own = self.columns
+        times, known = self.columns
         after = times.searchsorted(arrived, side="left")
         inside = (after > 0) & (after < len(times))
-        steady = np.abs(self._steps_s(times, own)) <= _CONTINUOUS_S
+        steady = np.abs(self._steps_s(times, known)) <= _CONTINUOUS_S
         inside[inside] = steady[after[inside] - 1]
         end, begin = after[inside], after[inside] - 1
         share = (arrived[inside] - times[begin]) / (times[end] - times[begin])
-        between = own[begin] + np.round(share * (own[end] - own[begin])).astype(np.int64)
+        between = known[begin] + np.round(share * (known[end] - known[begin])).astype(np.int64)
         return stamps[inside] - between, inside
 
     @staticmethod

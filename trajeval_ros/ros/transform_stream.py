@@ -47,7 +47,7 @@ class TransformStream(PoseStream):
 
     The first pose is available when the leading edge is determined. A pose is available when all
     edges have reached its timestamp. A tree has only one chain between two frames. When it is
-    found, all other edges are removed.
+    complete, all other edges are removed.
 
     When the time of one edge steps back, all edges start again with the first message after the
     step. It was received before the step was certain, so the newest messages are kept.

@@ -79,8 +79,8 @@ class Snapshots:
         try:
             self._client = node.create_client(Snapshot, service)
         except Exception as error:  # rclpy's exceptions here have no common base class
-            said = " ".join(str(error).split())
-            raise SettingsError(f"{service!r} is not a service name: {said}") from error
+            reason = " ".join(str(error).split())
+            raise SettingsError(f"{service!r} is not a service name: {reason}") from error
         self._request, self._name = Snapshot.Request, self._client.srv_name
         self._free_at = 0.0
         self._answer: Any = None
@@ -117,8 +117,8 @@ class Snapshots:
             return None
         self._client.remove_pending_request(self._answer)
         self._answer = None
-        said = f"no snapshot: no answer of {self._name} within {_SNAPSHOT_PATIENCE_S:g} s"
-        return said, Level.WARNING
+        text = f"no snapshot: no answer of {self._name} within {_SNAPSHOT_PATIENCE_S:g} s"
+        return text, Level.WARNING
 
 
 # Processing one message takes about as much CPU time as processing twenty.
@@ -160,10 +160,10 @@ class EstimateWatch:
     def match(self) -> list[Remark]:
         """Connect to the current publishers; return remarks."""
         sides = [self._estimate, *self._others.values()]
-        told = [item for side in sides for item in side.match()]
-        if self._imu is not None and (said := self._imu.match()):
-            told.append(about_publishers(said))
-        return told
+        remarks = [item for side in sides for item in side.match()]
+        if self._imu is not None and (text := self._imu.match()):
+            remarks.append(about_publishers(text))
+        return remarks
 
     def tick(self) -> WatchReport | None:
         """Gather the messages that have arrived, and process them if due; return a new report."""
@@ -190,8 +190,8 @@ class EstimateWatch:
     def _renewed_by(self, report: WatchReport | None) -> WatchReport | None:
         """Keep a new report; after a failure it has the reason."""
         if self._task.trouble:
-            said = f"the newest messages are not watched: {self._task.trouble}; report the defect"
-            report = WatchReport([warning("watch", said)])
+            text = f"the newest messages are not watched: {self._task.trouble}; report the defect"
+            report = WatchReport([warning("watch", text)])
         self._report = report or self._report
         return report
 
@@ -229,8 +229,8 @@ class EstimateWatch:
         if silent_s is None:
             return [warning("silence", f"nothing to watch yet on {side.source}")]
         if silent_s > _STALE_AFTER_S:
-            said = f"nothing to watch for {silent_s:.0f} s on {side.source}"
-            return [Remark(Level.ERROR, "silence", said)]
+            text = f"nothing to watch for {silent_s:.0f} s on {side.source}"
+            return [Remark(Level.ERROR, "silence", text)]
         return []
 
 
@@ -255,8 +255,8 @@ class Watching:
         """Process the messages that have arrived, and report alarms."""
         if self._watch is not None and (report := self._watch.tick()) is not None:
             self._tell(report)
-        if self._snapshots is not None and (told := self._snapshots.renew()) is not None:
-            self._log(*told)
+        if self._snapshots is not None and (news := self._snapshots.renew()) is not None:
+            self._log(*news)
 
     def see(self, remarks: Iterable[Remark]) -> None:
         """Process remarks of the evaluation: exceeded error limits request a snapshot."""
