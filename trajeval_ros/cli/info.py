@@ -220,10 +220,9 @@ def _print_others(terminal: Console, description: Description) -> None:
     if inside:
         name, _, _, fields = inside[0]
         field = fields.split(", ")[0].replace("itself", "")
-        terminal.print(
-            f"\nA pose inside a message is a source, too: {description.path}:{name}{field}",
-            soft_wrap=True,
-        )
+        source = f"\nA pose inside a message is a source, too: {description.path}:{name}{field}"
+        order = " (state the order of the quaternion)" if field.endswith("xyz]") else ""
+        terminal.print(source + order, soft_wrap=True)
 
 
 def _print_next_step(terminal: Console, description: Description) -> None:

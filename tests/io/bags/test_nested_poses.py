@@ -33,6 +33,9 @@ DEFINITIONS = {
     "acme/msg/Vector": "float32 x\nfloat32 y\nfloat32 z\n",
     "acme/msg/Rotation": "float32 x\nfloat32 y\nfloat32 z\nfloat32 w\n",
     "acme/msg/State": "std_msgs/Header header\nfloat64[3] position\nfloat64[4] q\n",
+    "acme/msg/States": "acme/State[] all\n",
+    "acme/msg/Mixed": "std_msgs/Header header\ngeometry_msgs/Point pos\nfloat32[4] q\n",
+    "acme/msg/Gains": "float64[3] position\nfloat64[4] gains\nfloat64[3] velocity\n",
 }
 for _name, _text in DEFINITIONS.items():
     STORE.register(get_types_from_msg(_text, _name))
@@ -146,14 +149,47 @@ def test_numbers_of_32_bits_are_read(tmp_path: Path) -> None:
     expect(read, STAMPS, [1.0] * COUNT)
 
 
-def test_arrays_of_numbers_are_no_pose(tmp_path: Path) -> None:
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+@pytest.mark.parametrize("kind", ["acme/msg/State", "acme/msg/States", "acme/msg/Mixed"])
+def test_a_quaternion_in_an_array_has_the_stated_order(
+    order: str, kind: str, tmp_path: Path
+) -> None:
+    quaternion = {"xyzw": [0.0, 0.0, 0.5, 1.0], "wxyz": [1.0, 0.0, 0.0, 0.5]}[order]
+    types, messages = STORE.types, []
+    for row, stamp in enumerate(STAMPS):
+        place = np.array([row, 2.0, 3.0])
+        state = types["acme/msg/State"](header(stamp, "rig"), place, np.array(quaternion))
+        if kind == "acme/msg/States":
+            state = types[kind]([state])
+        elif kind == "acme/msg/Mixed":
+            point = TYPES["geometry_msgs/msg/Point"](*place)
+            state = types[kind](header(stamp, "rig"), point, np.array(quaternion, dtype="f4"))
+        messages.append(state)
+    field = ".all[0].q" if kind == "acme/msg/States" else ".q"
+    read = read_trajectory(f"{bag(tmp_path, kind, messages)}:/pose{field}[{order}]")
+    expect(read, STAMPS, [float(row) for row in range(COUNT)])
+    assert read.frame == "rig"
+
+
+@pytest.mark.parametrize("field", ["", ".q", ".q[yzwx]", ".q[0]", ".position[wxyz]"])
+def test_an_unstated_order_is_refused_with_sources_that_work(field: str, tmp_path: Path) -> None:
     state = STORE.types["acme/msg/State"]
-    messages = [state(header(stamp), np.zeros(3), np.ones(4)) for stamp in STAMPS]
+    messages = [state(header(stamp), np.arange(3.0), np.ones(4)) for stamp in STAMPS]
     path = bag(tmp_path, "acme/msg/State", messages)
-    with pytest.raises(InputError, match="has type acme/msg/State, not poses"):
+    with pytest.raises(InputError, match="does not tell the order") as refused:
+        read_trajectory(f"{path}:/pose{field}")
+    listed = str(refused.value).partition("choose one of ")[2].partition(";")[0].split(", ")
+    assert [source.rpartition(":")[2] for source in listed] == ["/pose.q[wxyz]", "/pose.q[xyzw]"]
+    assert [len(read_trajectory(source)) for source in listed] == [COUNT, COUNT]
+
+
+def test_arrays_of_other_names_are_no_pose(tmp_path: Path) -> None:
+    messages = [
+        STORE.types["acme/msg/Gains"](np.zeros(3), np.ones(4), np.zeros(3)) for _ in STAMPS
+    ]
+    path = bag(tmp_path, "acme/msg/Gains", messages)
+    with pytest.raises(InputError, match="has type acme/msg/Gains, not poses"):
         read_trajectory(f"{path}:/pose")
-    with pytest.raises(InputError, match="no position and orientation"):
-        read_trajectory(f"{path}:/pose.q")
 
 
 @pytest.mark.parametrize("field", [".x", "[0]", "[0][1]", ".pose[", "..", ".pose.position.x"])
@@ -184,8 +220,9 @@ def test_a_field_of_a_type_of_poses_gives_the_same_numbers(tmp_path: Path) -> No
 VECTOR: Fields = tuple((name, "f8") for name in "xyz")
 POSE: Fields = (("position", VECTOR), ("orientation", (*VECTOR, ("w", "f8"))))
 NAMES = st.sampled_from(["a", "b", "header", "pose", "stamp", "child_frame_id"])
+ARRAYS: Fields = (("p", Repeated("f8", 3)), ("q", Repeated("f4", 4)))
 KINDS = st.recursive(
-    st.sampled_from(["f8", "u1", TEXT, POSE]),
+    st.sampled_from(["f8", "u1", TEXT, POSE, ARRAYS]),
     lambda inner: st.one_of(
         st.dictionaries(NAMES, inner, min_size=1, max_size=3).map(lambda d: tuple(d.items())),
         inner.map(Repeated),

@@ -1,7 +1,8 @@
 """Poses inside messages of any type: `BAG:/vendor/status.odom`, `BAG:/mocap/poses[0]`.
 
 A pose is recognised by its fields: position and orientation, or translation and rotation. Its
-timestamp is that of the nearest header or stamp around it.
+timestamp is that of the nearest header or stamp around it. The order of a quaternion in an array
+of four numbers is not in the message, so the field path states it: `BAG:/vendor/state.q[wxyz]`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ _ELEMENT = re.compile(r"\[(\d{1,6})\]")
 _STEPS = re.compile(r"(\.\w+|\[\d{1,6}\])*")
 _TIME = ("sec", "nanosec")
 _MATRIX = Repeated("f8", 36)
+_ORDER = re.compile(r"\[(wxyz|xyzw)\]$")
+_POSITION = re.compile(r"p|pos|position|translation|xyz", re.IGNORECASE)
+_ROTATION = re.compile(r"q|quat|quaternion|orientation|rotation|attitude", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -40,13 +44,15 @@ class NestedPose:
     child_frame: str = ""
     velocity: str = ""  # in the body
     covariance: str = ""
+    order: str = ""  # of the quaternion in an array: "wxyz" or "xyzw"
 
     @property
     def field(self) -> str:
-        """The field as it is written after a topic: ".odom.pose.pose", ".poses[0]"."""
+        """The field as it is written after a topic: ".odom.pose.pose", ".poses[0]", ".q[wxyz]"."""
         rest = self.path[len(self.sequence) :]
         element = f".{self.sequence}[{self.index}]" if self.sequence else ""
-        return element + (rest if self.sequence else f".{rest}" if rest else "")
+        order = f"[{self.order}]" if self.order else ""
+        return element + (rest if self.sequence else f".{rest}" if rest else "") + order
 
     def requested(self, *, covariances: bool) -> list[str]:
         """Return the fields to decode."""
@@ -68,10 +74,11 @@ class NestedPose:
             stamps = log_times[rows]
         matrices = self.covariance if covariances else ""
         none = StringColumn(("",), np.zeros(len(rows), dtype=np.int64))
+        quaternions = floats_of(fields.numbers(self.quaternion))
         return PoseColumns(
             stamps=stamps,
             positions=floats_of(fields.numbers(self.position)),
-            quaternions=floats_of(fields.numbers(self.quaternion)),
+            quaternions=np.roll(quaternions, -1, axis=1) if self.order == "wxyz" else quaternions,
             body_velocities=floats_of(fields.numbers(self.velocity)) if self.velocity else None,
             covariances=(
                 floats_of(fields.numbers(matrices)).reshape(-1, 6, 6) if matrices else None
@@ -144,6 +151,16 @@ def _inside(fields: Fields, prefix: str, around: NestedPose) -> Iterator[NestedP
             paths = prefix.rstrip("."), prefix + position, prefix + orientation
             yield replace(around, path=paths[0], position=paths[1], quaternion=paths[2])
             return
+    positions = [
+        name
+        for name, kind in fields
+        if _POSITION.fullmatch(name) and (_is_array(kind, 3) or _is_vector(kind, "xyz"))
+    ]
+    arrays = [name for name, kind in fields if _ROTATION.fullmatch(name) and _is_array(kind, 4)]
+    if len(positions) == len(arrays) == 1:
+        path = prefix + arrays[0]
+        place = replace(around, path=path, position=prefix + positions[0], quaternion=path)
+        yield from (replace(place, order=order) for order in ("wxyz", "xyzw"))
     for name, kind in fields:
         if isinstance(kind, tuple):
             inner = replace(around, covariance="")
@@ -155,6 +172,10 @@ def _inside(fields: Fields, prefix: str, around: NestedPose) -> Iterator[NestedP
         elif isinstance(kind, Repeated) and isinstance(kind.kind, tuple) and not around.sequence:
             inner = replace(around, sequence=prefix + name, covariance="", velocity="")
             yield from _inside(kind.kind, f"{prefix}{name}.", inner)
+
+
+def _is_array(kind: Kind, count: int) -> bool:
+    return kind in (Repeated("f4", count), Repeated("f8", count))
 
 
 def _has_names(kind: Kind | None, names: Sequence[str]) -> bool:
@@ -177,27 +198,32 @@ def chosen_pose(fields: Fields, text: str, topic: str) -> NestedPose:
 
     Args:
         fields: Of the topic's type.
-        text: What follows the topic, such as `.status.odom`, `[2]`, `.poses[0].pose`; "" for the
-            only pose in the messages. A path to a message with one pose is enough.
+        text: What follows the topic, such as `.status.odom`, `[2]`, `.poses[0].pose`, `.q[wxyz]`;
+            "" for the only pose in the messages. A path to a message with one pose is enough.
         topic: The topic in messages, with the bag.
 
     Raises:
         InputError: There is no such pose, or there are several.
     """
     places = nested_poses(fields)
-    element = _ELEMENT.search(text)
-    path = _ELEMENT.sub("", text, count=1).strip(".")
-    if _STEPS.fullmatch(text) and not _ELEMENT.search(path):
+    order = _ORDER.search(text)
+    steps = _ORDER.sub("", text)
+    element = _ELEMENT.search(steps)
+    path = _ELEMENT.sub("", steps, count=1).strip(".")
+    if _STEPS.fullmatch(steps) and not _ELEMENT.search(path):
         fitting = [
             place
             for place in places
             if bool(place.sequence) == bool(element)
+            and (not order or place.order == order[1])
             and (not path or f"{place.path}.".startswith(f"{path}."))
         ]
         if len(fitting) == 1:
             return replace(fitting[0], index=int(element[1]) if element else 0)
     listed = ", ".join(f"{topic}{place.field}" for place in places)
     choice = f"choose one of {listed}" if len(places) > 1 else f"give {listed}"
+    if any(place.order for place in places):
+        choice += "; the message does not tell the order of the quaternion in an array"
     raise InputError(
         f"{topic}{text} is not one pose; {choice}"
         if places
