@@ -144,7 +144,7 @@ def draws_of(
             )
             truth = fix_trajectory(stamps[rows][arrives], fixes[arrives], name="fix")
             outcome = run(truth, [estimate], Request(protocol, fixes=rule)).runs[0]
-            own, ate = outcome.own_error, outcome.evaluation.ate["position_m"]
+            own, ate = outcome.noise_corrected_ate, outcome.evaluation.ate["position_m"]
             assert own is not None
             assert ate is not None
             pairs = outcome.evaluation.association

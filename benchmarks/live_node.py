@@ -25,7 +25,7 @@ from trajeval_ros.geometry.valid_poses import add_counts, reasons
 
 HERE = Path(__file__).parent
 SETTLE_S = 4.0
-ENOUGH = 10_000  # bytes of pairs, after which it is in full swing
+ENOUGH = 10_000  # bytes of states, after which it is in full swing
 SOAK_SPEED = 20.0
 UNTIL_ENDED_S = 3600.0
 # Groundtruth Hz, odometry Hz, estimates, busy processes; at most: milliseconds from stamp to
@@ -73,7 +73,7 @@ def running(
     *,
     field: bool = False,
 ) -> Iterator[tuple[subprocess.Popen[str], subprocess.Popen[str], Path]]:
-    """Run the node and its traffic: yields both processes, once pairs are made, and the folder."""
+    """Run the node and its traffic; yield both, once states are stored, and the folder."""
     variables = environment()
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "out"
@@ -97,7 +97,7 @@ def running(
             env=variables, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         try:
-            while not any(path.stat().st_size > ENOUGH for path in output.glob("*.pairs")):
+            while not any(path.stat().st_size > ENOUGH for path in output.glob("*.states")):
                 if node.poll() is not None or traffic.poll() is not None:
                     raise RuntimeError("the node or its traffic has ended early")
                 time.sleep(0.05)

@@ -11,7 +11,7 @@ import pytest
 from trajeval_ros import Protocol, evaluate
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.own_error import debiased
+from trajeval_ros.metrics.noise_corrected_ate import debiased
 
 BAG = "gnss/husky_outdoor.bag"
 ODOMETRY = f"{BAG}:/husky_velocity_controller/odom"

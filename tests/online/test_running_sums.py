@@ -120,7 +120,7 @@ def test_an_alignment_is_frozen_below_a_degree(std_deg: float | None, *, is_kept
         aligning = LiveAlignment(Protocol(gauge=Gauge.SE3), freezes=freezes)
         with mock.patch.object(live_alignment, "solve", return_value=solved):
             aligning.add(pairs_of(1, 30))
-        assert aligning.found is not None
+        assert aligning.alignment is not None
         assert aligning.is_kept == (is_kept and freezes)
         if is_kept or not freezes:
             assert aligning.why_not == ""
@@ -141,13 +141,13 @@ def test_the_first_states_alone_align_however_they_come(seed: int, size: int, fi
         seen = min(begin + size, 80)
         assert aligning.is_kept == (seen >= first)
         assert int(aligning.whole.weight) == seen
-        if aligning.found is not None:
-            assert aligning.found.states_used == min(seen, first)
+        if aligning.alignment is not None:
+            assert aligning.alignment.states_used == min(seen, first)
         elif seen < 3:
             assert aligning.why_not == f"{seen} of 3 states for the alignment"
-    assert expected.found is not None
-    assert aligning.found is not None
-    one, other = expected.found.similarity, aligning.found.similarity
+    assert expected.alignment is not None
+    assert aligning.alignment is not None
+    one, other = expected.alignment.similarity, aligning.alignment.similarity
     np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-7)
     assert one.scale == pytest.approx(other.scale, rel=1e-7)
     # The errors of all pairs, by the sums about the first pair.
@@ -165,12 +165,12 @@ def test_before_the_first_alignment_there_are_no_errors() -> None:
     points = PairedStates(pairs.groundtruth, bare)
     by_poses = LiveAlignment(Protocol(gauge=Gauge.SE3, align_with="poses"), freezes=False)
     by_poses.add(points)
-    assert by_poses.found is None
+    assert by_poses.alignment is None
     assert by_poses.why_not == "align with poses needs orientations on both sides"
     by_poses = LiveAlignment(Protocol(gauge=Gauge.SE3, align_with="poses"), freezes=False)
     by_poses.add(pairs)
-    assert by_poses.found is not None
-    assert by_poses.found.by_positions is not None
+    assert by_poses.alignment is not None
+    assert by_poses.alignment.by_positions is not None
     by_one = LiveAlignment(Protocol(gauge=Gauge.SE3, align_states=1), freezes=False)
     by_one.add(points)
     assert by_one.why_not
@@ -178,8 +178,8 @@ def test_before_the_first_alignment_there_are_no_errors() -> None:
     by_one.add(pairs)
     assert by_one.is_kept
     assert by_one.why_not == ""
-    assert by_one.found is not None
-    at_first = by_one.found.similarity.positions(pairs.estimate.positions[:1])
+    assert by_one.alignment is not None
+    at_first = by_one.alignment.similarity.positions(pairs.estimate.positions[:1])
     np.testing.assert_allclose(at_first, pairs.groundtruth.positions[:1], atol=1e-9)
 
 

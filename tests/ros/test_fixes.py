@@ -60,7 +60,7 @@ def test_fixes_that_come_late(peer: Peer, environment: dict[str, str], tmp_path:
         assert_same(found["groundtruth"]["fixes"], recorded["groundtruth"]["fixes"])
         [run] = found["runs"]
         assert run["association"]["method"] == "groundtruth-stamps"
-        assert run["own_error"] is not None
+        assert run["noise_corrected_ate"] is not None
     assert "the alignment uses gauge yaw" in done["plain"].said
     assert done["gated"].result["groundtruth"]["fixes"]["datum"] == asdict(DATUM)
 

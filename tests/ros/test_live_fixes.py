@@ -104,7 +104,7 @@ def test_live_is_offline(
     assert_same(found, expected)
     assert_same(found["groundtruth"]["fixes"], expected["groundtruth"]["fixes"])
     [run] = found["runs"]
-    assert run["own_error"] is not None
+    assert run["noise_corrected_ate"] is not None
     assert run["association"]["method"] == "groundtruth-stamps"
     snapshot = live.run.estimates[0].snapshot()
     ate, coverage = run["ate"], snapshot.coverage

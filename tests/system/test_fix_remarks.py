@@ -17,7 +17,7 @@ from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.pipeline.fix_remarks import about_fixes, require_fixes_fit
 
 COUNT = 40
-CLEAN: Any = SimpleNamespace(jumps=0, own_jumps=0)
+CLEAN: Any = SimpleNamespace(jumps=0, single_jumps=0)
 
 
 def fixes_of(sigma_m: Any = 1.0, sigma_up_m: Any = 1.0, count: int = COUNT) -> Fixes:
@@ -77,7 +77,7 @@ def test_without_covariances_the_noise_of_the_fixes_is_in_the_ate() -> None:
 
 
 @pytest.mark.parametrize(
-    ("jumps", "own_jumps", "of", "starts"),
+    ("jumps", "single_jumps", "of", "starts"),
     [
         (1, 0, 1, {"fixes_jump": "1 fix in jumps away from the estimate and back: "}),
         (3, 0, 2, {"fixes_jump": "3 fixes in jumps common to all 2 estimates, caused "}),
@@ -95,9 +95,9 @@ def test_without_covariances_the_noise_of_the_fixes_is_in_the_ate() -> None:
     ],
 )
 def test_jumps_are_told_of_the_fixes_or_of_the_estimate(
-    jumps: int, own_jumps: int, of: int, starts: dict[str, str]
+    jumps: int, single_jumps: int, of: int, starts: dict[str, str]
 ) -> None:
-    found = said(own=SimpleNamespace(jumps=jumps, own_jumps=own_jumps), of=of)
+    found = said(own=SimpleNamespace(jumps=jumps, single_jumps=single_jumps), of=of)
     assert found.keys() == starts.keys()
     assert all(found[code].startswith(start) for code, start in starts.items())
 

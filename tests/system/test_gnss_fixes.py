@@ -437,7 +437,7 @@ def test_one_command_on_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     (one,) = result["runs"]
     assert one["association"]["method"] == "groundtruth-stamps"
     assert one["alignment"]["gauge"] == "yaw"
-    assert one["own_error"]["fixes"] == one["association"]["pairs"]
+    assert one["noise_corrected_ate"]["fixes"] == one["association"]["pairs"]
     assert main(["info", bag]) == 0
     assert (
         "/fix: 40 of status 2; standard deviation 0.02 to 0.02 m horizontal"

@@ -179,8 +179,8 @@ class ActiveAlarms:
 
     def renew(self, remarks: Iterable[Remark]) -> list[Remark]:
         """Take all active remarks; returns new ones, and ended ones as notes."""
-        before, told = self._shown, list(self._told(remarks))
-        self._shown = {_key(item[0]): item for item in told if item[0].level != Level.NOTE}
+        before, reported = self._shown, list(self._told(remarks))
+        self._shown = {_key(item[0]): item for item in reported if item[0].level != Level.NOTE}
         started = [
             remark
             for key, (remark, _) in self._shown.items()

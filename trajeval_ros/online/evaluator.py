@@ -160,14 +160,14 @@ class OnlineEvaluator:
         self._measure()
         begin = self.store.window_begin(self.settings.window)
         protocol, request = self.settings.protocol, self.settings.covariances
-        found = self._aligning.found
+        alignment = self._aligning.alignment
         pairs, doubts, relative = None, Doubts(), self._relative.running
         if len(self.store):
             pairs = self._associated(self.store.pairs(slice(begin - self.store.begin, None)))
             doubts = self._doubts_about(pairs)
         ate: dict[str, Statistics | None] = {}
-        if pairs is not None and found is not None:
-            ate = window_statistics(pairs, found, doubts)
+        if pairs is not None and alignment is not None:
+            ate = window_statistics(pairs, alignment, doubts)
         if doubts.about(RelativeErrors, "position_m"):
             relative = {}
         loss = self.losses.present
@@ -211,15 +211,18 @@ class OnlineEvaluator:
     @property
     def alignment(self) -> Alignment | None:
         """The present alignment, between the frames' own axes; None before the first one."""
-        found = self._aligning.found
-        return None if found is None else self.frames.between_own_axes(found)
+        alignment = self._aligning.alignment
+        return None if alignment is None else self.frames.between_own_axes(alignment)
 
     @property
     def frozen_at(self) -> int | None:
         """Number of states of the frozen alignment; None while it is not frozen."""
-        if not (self.settings.freeze and self._aligning.is_kept) or self._aligning.found is None:
+        if (
+            not (self.settings.freeze and self._aligning.is_kept)
+            or self._aligning.alignment is None
+        ):
             return None
-        return self._aligning.found.states_used
+        return self._aligning.alignment.states_used
 
     def set_gauge(self, gauge: Gauge) -> None:
         """Change the gauge; call it before the first groundtruth."""
@@ -296,8 +299,8 @@ class OnlineEvaluator:
         newest = self._associated(self.store.pairs(slice(-1, None)))
         if not newest.have_rotations:
             return ()
-        found = self._aligning.found
-        scale = 1.0 if found is None else found.similarity.scale
+        alignment = self._aligning.alignment
+        scale = 1.0 if alignment is None else alignment.similarity.scale
         ends = self._relative.update(self.store, scale, at_end=at_end)
         is_withheld = self._doubts_about(newest).about(RelativeErrors, "position_m")
         return () if is_withheld else ends
@@ -334,7 +337,7 @@ class OnlineEvaluator:
 
     def _doubts_about(self, pairs: Association) -> Doubts:
         """Return which premises do not hold for pairs under the present alignment."""
-        alignment = self._aligning.found
+        alignment = self._aligning.alignment
         if alignment is None:
             return Doubts()
         return doubts_of(pairs, alignment, self.settings.protocol, self.up_axis_doubt)

@@ -23,7 +23,7 @@ class LiveAlignment:
 
     def __init__(self, protocol: Protocol, *, freezes: bool) -> None:
         self._protocol, self._freezes = protocol, freezes
-        self.found: Alignment | None = None  # the present alignment; None before the first one
+        self.alignment: Alignment | None = None  # the present one; None before the first one
         self.why_not = "no pairs yet"  # or why it is undetermined; else empty
         self.is_kept = False  # whether it no longer changes
         self._origin: tuple[Floats, Floats] | None = None
@@ -42,8 +42,8 @@ class LiveAlignment:
             self._origin = sides[0].positions[0].copy(), sides[1].positions[0].copy()
         self.whole += self.moments(pairs, self.whole.anchor)
         self._turned += _orientation_sum(pairs)
-        if self.found is not None and int(self.whole.weight) >= 2 * self._anchored_at:
-            anchor = self._shifted(self.found.similarity)
+        if self.alignment is not None and int(self.whole.weight) >= 2 * self._anchored_at:
+            anchor = self._shifted(self.alignment.similarity)
             self.whole = self.whole.with_anchor(anchor)
             self._anchored_at = int(self.whole.weight)
         self._align(pairs)
@@ -79,13 +79,13 @@ class LiveAlignment:
         self.why_not = solution.undetermined
         if self._freezes and not self.why_not:
             self._freeze_if_known(solution)
-        self.found = self._between_frames(solution)
+        self.alignment = self._between_frames(solution)
 
     def _align_by_one(self, pairs: PairedStates) -> None:
         """Align by the first of the pairs (N,), N > 0, for good, if it determines the gauge."""
         groundtruth, estimate = pairs.groundtruth, pairs.estimate
         try:
-            self.found = align_first(
+            self.alignment = align_first(
                 self._protocol.gauge,
                 groundtruth.positions[0],
                 _first_quaternion(groundtruth),
@@ -101,8 +101,8 @@ class LiveAlignment:
         """Return the sums over all states, or over the first ones after adding to these."""
         if self._protocol.align_states is None:
             return self.whole, self._turned
-        wanted = self._protocol.align_states - int(self._first.weight)
-        first = pairs.part(slice(wanted))
+        required = self._protocol.align_states - int(self._first.weight)
+        first = pairs.part(slice(required))
         self._first += self.moments(first, self._first.anchor)
         self._first_turned += _orientation_sum(first)
         self.is_kept = int(self._first.weight) >= self._protocol.align_states
@@ -142,7 +142,9 @@ class LiveAlignment:
 
     def rmse(self, moments: Moments) -> float | None:
         """Return the position RMSE of moments; None without an alignment."""
-        return None if self.found is None else moments.rmse(self._shifted(self.found.similarity))
+        if self.alignment is None:
+            return None
+        return moments.rmse(self._shifted(self.alignment.similarity))
 
 
 def _orientation_sum(pairs: PairedStates) -> OrientationSum:

@@ -186,7 +186,7 @@ class Pairing:
     @property
     def why_forgotten(self) -> str:
         """The sentence about states that were dropped because of the limits; empty if none."""
-        told = []
+        reasons = []
         waits = ("fix or point", "fixes or points") if self.at_groundtruth else ("pose", "poses")
         late, waited = self._unpaired.get("too_late"), self._unpaired.get("waited_too_long")
         if late:
@@ -195,16 +195,16 @@ class Pairing:
                 if self._is_full
                 else f"{self.limits.past_s:g} s (max_delay)"
             )
-            told.append(
+            reasons.append(
                 f"{counted(late, *waits)} dropped: later than the {self.interpolated} buffer of "
                 f"{memory}"
             )
         if waited:
-            told.append(
+            reasons.append(
                 f"{counted(waited, *waits)} dropped: more than {self.limits.waiting_states} were "
                 f"waiting for {self.interpolated}"
             )
-        return "; ".join(told)
+        return "; ".join(reasons)
 
     def made(self, *, at_end: bool = False) -> PairedStates | None:
         """Return the pairs that are possible now; None without any."""

@@ -42,7 +42,7 @@ class RepeatedRemarks:
 
     def counts(self, now_s: float) -> list[tuple[str, Remark]]:
         """Return the counts of the spans that end by now, with the sources they are about."""
-        found = []
+        remarks = []
         for key, kind in list(self._kinds.items()):
             if now_s < kind.until_s:
                 continue
@@ -50,13 +50,13 @@ class RepeatedRemarks:
                 del self._kinds[key]
                 continue
             more = kind.number - _FIRST
-            said = (
+            prefix = (
                 f"{counted(more, 'more event')} of this kind in {kind.span_s:.0f} s; the newest: "
             )
             values = {**kind.newest.values, "more": more}
-            found.append(
-                (key[0], replace(kind.newest, text=said + kind.newest.text, values=values))
+            remarks.append(
+                (key[0], replace(kind.newest, text=prefix + kind.newest.text, values=values))
             )
             span_s = min(2.0 * kind.span_s, _LONGEST_S)
             self._kinds[key] = _Kind(now_s + span_s, span_s)
-        return found
+        return remarks

@@ -61,11 +61,11 @@ def finding_to_correct(diagnosis: Diagnosis, cause: str, *, is_first: bool) -> F
         if left:
             raise InputError(f"no option corrects the finding: {left[0].text}; remove --correct")
         return None
-    found = diagnosis.named(cause)
-    if found is None:
-        causes = ", ".join(finding.cause for finding in diagnosis.findings) or "nothing"
+    finding = diagnosis.named(cause)
+    if finding is None:
+        causes = ", ".join(item.cause for item in diagnosis.findings) or "nothing"
         raise InputError(
             f"{cause} not found in the recording (found: {causes}); remove --correct, or convert "
             "the file with trajeval trajectory"
         )
-    raise InputError(f"no option corrects {cause}: {found.text}; remove --correct")
+    raise InputError(f"no option corrects {cause}: {finding.text}; remove --correct")

@@ -53,8 +53,8 @@ def diagnose(
         if pairs is not None:
             return Diagnosis(), str(error)
         inputs = corrected_and_cut(given, request)
-        found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
-        return verified(found, None, reevaluate), str(error)
+        diagnosis = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
+        return verified(diagnosis, None, reevaluate), str(error)
     sides = inputs.groundtruth, inputs.estimate
     paired = inputs.pairs is not None
     evaluation, diagnosis = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
@@ -125,8 +125,8 @@ def explained(error: InputError, given: Inputs, request: Request) -> InputError:
     gauge = request.protocol.gauge
     if not gauge.turns_about_gravity_only or not up_axis_doubt(inputs.groundtruth):
         return error
-    found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
-    causes = [finding for finding in found.findings if finding.cause == "inverse"]
+    diagnosis = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
+    causes = [finding for finding in diagnosis.findings if finding.cause == "inverse"]
     if not causes or request.calibration.hand_eye:
         return error
     return InputError(f"gauge {gauge.value} is not possible: {causes[0].text}")

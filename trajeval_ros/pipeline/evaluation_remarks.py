@@ -122,16 +122,16 @@ def _is_lost(diagnosis: Diagnosis) -> bool:
 def _about_mixed_publishers(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
     scale = evaluation.alignment.similarity.scale
-    true, own = groundtruth.positions, estimate.positions
-    if len(true) < 2:
+    reference, estimated = groundtruth.positions, estimate.positions
+    if len(reference) < 2:
         return
 
     def apart_m(every: int) -> float:
-        lengths = step_lengths(true[::every]), step_lengths(own[::every])
+        lengths = step_lengths(reference[::every]), step_lengths(estimated[::every])
         return median(np.abs(lengths[0] - scale * lengths[1]))
 
     back_m = apart_m(1)
-    if back_m > median(step_lengths(true)) and apart_m(2) < _BACK * back_m:
+    if back_m > median(step_lengths(reference)) and apart_m(2) < _BACK * back_m:
         yield warning(
             "mixed_publishers",
             f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
@@ -262,11 +262,11 @@ def _about_poses(evaluation: Evaluation) -> Iterator[Remark]:
 
 def require_same_body(evaluation: Evaluation, diagnosis: Diagnosis) -> None:
     """Refuse an alignment by the orientations of another body."""
-    found = diagnosis.named("body")
-    if evaluation.protocol.align_with == "poses" and found is not None:
+    body = diagnosis.named("body")
+    if evaluation.protocol.align_with == "poses" and body is not None:
         raise InputError(
             "the groundtruth is probably of another body frame, rotated by "
-            f"{found.evidence['angle_deg']:.0f} deg, so its orientations can't be used for the "
+            f"{body.evidence['angle_deg']:.0f} deg, so its orientations can't be used for the "
             "alignment; give --hand-eye auto or FILE, or use --align-with positions"
         )
 

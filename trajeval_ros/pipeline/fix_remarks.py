@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from trajeval_ros.geometry.fixes import Fixes
     from trajeval_ros.geometry.trajectory import Trajectory
     from trajeval_ros.metrics.evaluation import Evaluation
-    from trajeval_ros.metrics.own_error import OwnError
+    from trajeval_ros.metrics.noise_corrected_ate import NoiseCorrectedAte
 
 # Standard deviations with a larger ratio are of two kinds, such as fixed and float RTK.
 _SPAN = 10.0
@@ -55,7 +55,7 @@ def require_fixes_fit(
 def fix_remarks(
     evaluation: Evaluation,
     rule: FixRule,
-    own: OwnError | None = None,
+    ate: NoiseCorrectedAte | None = None,
     why: str = "",
     *,
     lever_arm_known: bool = False,
@@ -63,28 +63,28 @@ def fix_remarks(
 ) -> list[Remark]:
     """Return remarks on groundtruth of GNSS fixes or points, or on settings of fixes without them.
 
-    `own` is the error without the noise of the fixes, or None for the reason `why`, and `of` the
+    `ate` is the error without the noise of the fixes, or None for the reason `why`, and `of` the
     number of evaluated estimates. The point's place may be known (`lever_arm_known`).
     """
     lever_arm = [] if lever_arm_known else about_lever_arm(evaluation)
     if evaluation.groundtruth.reading.fixes is None:
         return [*about_unused_rule(rule), *lever_arm]
-    return [*about_fixes(evaluation, own, why, of), *lever_arm]
+    return [*about_fixes(evaluation, ate, why, of), *lever_arm]
 
 
 def about_fixes(
-    evaluation: Evaluation, own: OwnError | None, why: str, of: int
+    evaluation: Evaluation, ate: NoiseCorrectedAte | None, why: str, of: int
 ) -> Iterator[Remark]:
     """Yield warnings about an evaluation by GNSS fixes, see `fix_remarks`."""
     pairs = evaluation.association
     fixes = pairs.groundtruth.reading.fixes
-    if own is None:
+    if ate is None:
         yield warning(
             "noise_of_fixes_unknown",
             f"the ATE includes the noise of the fixes, which can't be removed: {why}",
         )
     else:
-        yield from _about_jumps(own, of)
+        yield from _about_jumps(ate, of)
     if fixes is not None:
         yield from _about_sigmas(fixes, evaluation)
     yield from _about_heights(evaluation)
@@ -98,24 +98,24 @@ def about_fixes(
     yield from _about_interpolation(evaluation)
 
 
-def _about_jumps(own: OwnError, of: int) -> Iterator[Remark]:
-    if own.jumps and of > 1:
+def _about_jumps(ate: NoiseCorrectedAte, of: int) -> Iterator[Remark]:
+    if ate.jumps and of > 1:
         yield warning(
             "fixes_jump",
-            f"{counted(own.jumps, 'fix', 'fixes')} in jumps common to all {of} estimates, caused "
+            f"{counted(ate.jumps, 'fix', 'fixes')} in jumps common to all {of} estimates, caused "
             "by the receiver (multipath): included in the ATE, not in the noise-corrected ATE",
         )
-    elif own.jumps:
+    elif ate.jumps:
         yield warning(
             "fixes_jump",
-            f"{counted(own.jumps, 'fix', 'fixes')} in jumps away from the estimate and back: "
+            f"{counted(ate.jumps, 'fix', 'fixes')} in jumps away from the estimate and back: "
             "included in the ATE, not in the noise-corrected ATE; add a second estimate to "
             "identify the cause",
         )
-    if own.own_jumps:
+    if ate.single_jumps:
         yield warning(
             "estimate_jumps",
-            f"at {counted(own.own_jumps, 'fix', 'fixes')} only this estimate jumps, and others "
+            f"at {counted(ate.single_jumps, 'fix', 'fixes')} only this estimate jumps, and others "
             "do not: included in its noise-corrected ATE",
         )
 
@@ -181,14 +181,14 @@ def _height_step(errors: Floats) -> float | None:
 
 
 def _about_interpolation(evaluation: Evaluation) -> Iterator[Remark]:
-    found, position = evaluation.association.interpolation, evaluation.ate["position_m"]
-    if found is None or position is None:
+    interpolation, position = evaluation.association.interpolation, evaluation.ate["position_m"]
+    if interpolation is None or position is None:
         return
-    off_m = found.off_m * evaluation.alignment.similarity.scale
+    off_m = interpolation.off_m * evaluation.alignment.similarity.scale
     if off_m <= _INTERPOLATION_SHARE * position.rmse:
         return
     yield warning(
         "interpolated_estimate",
-        f"linear interpolation between the estimate's states, {found.step_s:.2g} s apart, adds an "
-        f"error of up to {off_m:.2g} m to the ATE; use an estimate with a higher rate",
+        f"linear interpolation between the estimate's states, {interpolation.step_s:.2g} s apart, "
+        f"adds an error of up to {off_m:.2g} m to the ATE; use an estimate with a higher rate",
     )

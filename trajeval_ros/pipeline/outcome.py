@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from trajeval_ros.consistency.consistency_result import Consistency
     from trajeval_ros.consistency.integrity import Integrity
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
-    from trajeval_ros.metrics.own_error import OwnError
+    from trajeval_ros.metrics.noise_corrected_ate import NoiseCorrectedAte
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,8 +36,8 @@ class RunOutcome:
         likelihood: Likelihoods; None unless the association is continuous.
         live: Results that only a live run has; None for a recorded run.
         by_states: The ATE for the requested numbers of aligned states.
-        own_error: The ATE without the noise of GNSS fixes; None for other groundtruth, and if
-            that noise is unknown.
+        noise_corrected_ate: The ATE without the noise of GNSS fixes; None for other
+            groundtruth, and if that noise is unknown.
         diagnosis: The detected mistakes, and the tests for them.
         corrected: The mistakes that were corrected on request, in this order.
         integrity: Errors against protection levels; None if not requested.
@@ -59,7 +59,7 @@ class RunOutcome:
     likelihood: LikelihoodAssessment | None = None
     live: Mapping[str, object] | None = None
     by_states: tuple[AlignedBy, ...] = ()
-    own_error: OwnError | None = None
+    noise_corrected_ate: NoiseCorrectedAte | None = None
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
     corrected: tuple[Finding, ...] = ()
     integrity: Integrity | None = None

@@ -38,7 +38,7 @@ from trajeval_ros.pipeline.preparation import (
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.pipeline.several_runs import (
     with_bayes_factors,
-    with_own_errors,
+    with_noise_corrected_ates,
     with_remarks,
     with_same_estimates_named,
 )
@@ -62,16 +62,16 @@ def run(
     groundtruth, estimates, request = with_fixes_placed(groundtruth, estimates, request)
     runs: list[RunOutcome] = []
     for estimate in estimates:
-        own, said = _testable(request, estimate, estimates)
+        testable, remarks = _testable(request, estimate, estimates)
         with named(estimate):
             given, same_as = Inputs.of(groundtruth, estimate), runs[0].calibrated if runs else None
-            found = _evaluated(given, own, same_as)
+            outcome = _evaluated(given, testable, same_as)
             if request.correct:
-                found = _corrected(found, given, own, same_as)
-        runs.append(with_remarks(said, found, len(found.evaluation.remarks)))
+                outcome = _corrected(outcome, given, testable, same_as)
+        runs.append(with_remarks(remarks, outcome, len(outcome.evaluation.remarks)))
     used, inputs = runs[0].evaluation.groundtruth, corrected_and_cut(given, request)
     runs = list(with_bayes_factors(with_same_estimates_named(runs)))
-    runs = with_own_errors(runs, request.fixes)
+    runs = with_noise_corrected_ates(runs, request.fixes)
     return Outcome(request, InputSummary.of(inputs.groundtruth, used), tuple(runs))
 
 
@@ -84,9 +84,9 @@ def _testable(
     )
     if request.covariances.source != "message" or is_possible:
         return request, []
-    said = "the consistency test is not possible: the estimate has no covariances"
-    own = dataclasses.replace(request, covariances=CovarianceRequest(), integrity=None)
-    return own, [warning("no_consistency_test", said)]
+    text = "the consistency test is not possible: the estimate has no covariances"
+    without = dataclasses.replace(request, covariances=CovarianceRequest(), integrity=None)
+    return without, [warning("no_consistency_test", text)]
 
 
 def run_alone(
@@ -94,7 +94,7 @@ def run_alone(
 ) -> tuple[InputSummary, RunOutcome]:
     """Evaluate one of several estimates with its own request; return the groundtruth's summary.
 
-    What compares estimates follows: `with_same_estimates_named` and `with_own_errors`.
+    What compares estimates follows: `with_same_estimates_named` and `with_noise_corrected_ates`.
     """
     groundtruth, [estimate], request = with_fixes_placed(groundtruth, [estimate], request)
     with named(estimate):
@@ -231,17 +231,17 @@ def _watchdog_errors(
 
 
 def _corrected(
-    found: RunOutcome, given: Inputs, request: Request, same_as: Calibrated | None
+    outcome: RunOutcome, given: Inputs, request: Request, same_as: Calibrated | None
 ) -> RunOutcome:
     """Evaluate again with the corrections of findings, and keep the errors without them."""
     corrected: list[Finding] = []
     while len(corrected) < _MOST_CORRECTIONS:
-        finding = finding_to_correct(found.diagnosis, request.correct, is_first=not corrected)
+        finding = finding_to_correct(outcome.diagnosis, request.correct, is_first=not corrected)
         if finding is None:
             break
         changed = request.corrected(finding.correction)
         after = _evaluated(given, changed, same_as)
-        tried = Verification.of(found.evaluation, after.evaluation)
+        tried = Verification.of(outcome.evaluation, after.evaluation)
         is_hidden = finding.tried is not None and bool(finding.tried.then)
         if tried.raises_errors(finding.cause) and not is_hidden:
             if corrected:
@@ -251,5 +251,5 @@ def _corrected(
                 "--correct suggested"
             )
         corrected.append(dataclasses.replace(finding, tried=tried))
-        found, request = after, changed
-    return dataclasses.replace(found, corrected=tuple(corrected))
+        outcome, request = after, changed
+    return dataclasses.replace(outcome, corrected=tuple(corrected))

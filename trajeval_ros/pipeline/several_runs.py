@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 def with_same_estimates_named(runs: Sequence[RunOutcome]) -> list[RunOutcome]:
     """Return the runs with a finding for an estimate that equals a previous one."""
-    found = []
+    named = []
     for number, run in enumerate(runs):
         same = same_estimate(run.estimate, [earlier.estimate for earlier in runs[:number]])
         if same is not None:
             diagnosis = run.diagnosis.with_others([same])
             run = dataclasses.replace(with_remarks([same.remark], run), diagnosis=diagnosis)
-        found.append(run)
-    return found
+        named.append(run)
+    return named
 
 
 def with_bayes_factors(runs: Sequence[RunOutcome]) -> Iterator[RunOutcome]:
@@ -40,7 +40,7 @@ def with_bayes_factors(runs: Sequence[RunOutcome]) -> Iterator[RunOutcome]:
         yield dataclasses.replace(run, likelihood=assessment)
 
 
-def with_own_errors(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
+def with_noise_corrected_ates(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
     """Return the runs with errors without the noise of GNSS fixes, and warnings about fixes."""
     evaluations = [run.evaluation for run in runs]
     known = any(run.calibrated is not None and run.calibrated.lever_applied for run in runs)
@@ -50,14 +50,18 @@ def with_own_errors(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
         )
         both = zip(remarks, runs, strict=True)
         return [with_remarks(more, run, len(run.diagnosis.findings)) for more, run in both]
-    from trajeval_ros.metrics.own_error import own_errors
+    from trajeval_ros.metrics.noise_corrected_ate import noise_corrected_ates
 
-    found = []
-    for run, (own, why) in zip(runs, own_errors(evaluations, rule.correlation_s), strict=True):
-        more = fix_remarks(run.evaluation, rule, own, why, lever_arm_known=known, of=len(runs))
+    results = []
+    for run, (corrected, why) in zip(
+        runs, noise_corrected_ates(evaluations, rule.correlation_s), strict=True
+    ):
+        more = fix_remarks(
+            run.evaluation, rule, corrected, why, lever_arm_known=known, of=len(runs)
+        )
         run = with_remarks(more, run, len(run.diagnosis.findings))
-        found.append(dataclasses.replace(run, own_error=own))
-    return found
+        results.append(dataclasses.replace(run, noise_corrected_ate=corrected))
+    return results
 
 
 def with_remarks(more: Sequence[Remark], run: RunOutcome, after: int = 0) -> RunOutcome:

@@ -18,7 +18,7 @@ from trajeval_ros.report.verdict_lines import (
     diagnosis_lines,
     doubt,
     explanation,
-    own_error_line,
+    noise_corrected_line,
     verdict,
 )
 
@@ -41,8 +41,8 @@ def print_verdicts(terminal: Console, outcome: Outcome) -> None:
         if run.available is not None and position is not None:
             for line in available_lines(run.available.numbers, position.rmse):
                 terminal.print(line, soft_wrap=True)
-        if run.own_error is not None:
-            terminal.print(own_error_line(run.own_error), soft_wrap=True)
+        if run.noise_corrected_ate is not None:
+            terminal.print(noise_corrected_line(run.noise_corrected_ate), soft_wrap=True)
     protocol = outcome.runs[0].evaluation.protocol
     if outcome.request.gauge_is_default and outcome.groundtruth.fixes is not None:
         terminal.print(

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.likelihood.uncertain_ate import UncertainAte
     from trajeval_ros.metrics.discontinuities.parts import RunPart
-    from trajeval_ros.metrics.own_error import OwnError
+    from trajeval_ros.metrics.noise_corrected_ate import NoiseCorrectedAte
     from trajeval_ros.pipeline.outcome import RunOutcome
 
 
@@ -250,7 +250,7 @@ def _drift(evaluation: Evaluation) -> str:
     return f", drift {mean} % over {length}"
 
 
-def own_error_line(own: OwnError) -> str:
+def noise_corrected_line(own: NoiseCorrectedAte) -> str:
     """Return the line about the noise-corrected ATE, without the noise of fixes."""
     independent = significant(own.effective_fixes, 2)
     worth = f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {independent} independent fixes"

@@ -271,13 +271,15 @@ class LiveScene:
         )
 
     def _send_properties(self) -> None:
-        told = [estimate for estimate in self._estimates.values() if estimate.snapshot is not None]
+        evaluated = [
+            estimate for estimate in self._estimates.values() if estimate.snapshot is not None
+        ]
         self._recording.send(
             send_of_snapshots,
             self._title,
             (self._gauge, self._modality),
-            [item.snapshot for item in told],
-            [item.entities.name for item in told],
+            [item.snapshot for item in evaluated],
+            [item.entities.name for item in evaluated],
         )
 
     def _frame(self) -> None:
@@ -290,11 +292,13 @@ class LiveScene:
             )
 
     def _tell(self, time: int, *, is_growing: bool = True) -> None:
-        told = [estimate for estimate in self._estimates.values() if estimate.snapshot is not None]
-        snapshots = [item.snapshot for item in told if item.snapshot is not None]
+        evaluated = [
+            estimate for estimate in self._estimates.values() if estimate.snapshot is not None
+        ]
+        snapshots = [item.snapshot for item in evaluated if item.snapshot is not None]
         words = text_panel.of_snapshots(
             snapshots,
-            [item.entities.name for item in told],
+            [item.entities.name for item in evaluated],
             self._gauge,
             self._scale,
             is_growing=is_growing,

@@ -79,8 +79,8 @@ def write_recording(
         _draw(recording, evaluations, consistencies, estimates, origin, size_of(bounds))
         for sample, entities in zip(samples, estimates, strict=False):
             _send_available(recording, sample, entities)
-        told = [estimate.name for estimate in estimates]
-        send_of_evaluations(recording, title, evaluations, consistencies, told)
+        drawn = [estimate.name for estimate in estimates]
+        send_of_evaluations(recording, title, evaluations, consistencies, drawn)
 
     write_whole(path, recording_writer(title, layout, draw))
 

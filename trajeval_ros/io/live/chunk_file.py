@@ -55,11 +55,11 @@ class ChunkWriter:
         rows = np.empty(len(columns[0]), self._kinds[magic])
         for name, column in zip(rows.dtype.names or (), columns, strict=True):
             rows[name] = column
-        said = b"" if text is None else json_text(text).encode()
-        body = said + rows.tobytes()
+        header = b"" if text is None else json_text(text).encode()
+        body = header + rows.tobytes()
         if len(self._waiting) + len(body) > _MOST_WAITING:
             return False
-        self._waiting += _HEAD.pack(magic, len(rows), len(said), zlib.crc32(body)) + body
+        self._waiting += _HEAD.pack(magic, len(rows), len(header), zlib.crc32(body)) + body
         return True
 
     def close(self) -> None:
@@ -93,8 +93,8 @@ class ChunkWriter:
 def read_tables(path: Path, kinds: Kinds, schema: str, what: str) -> dict[bytes, NDArray[Any]]:
     """Return the rows of every kind; refuses a file with another schema."""
     chunks, _ = read_chunks(path, kinds)
-    found = chunks[0][0].get("format") if chunks else None
-    require_schema(path, found, schema, what, "evaluate a recording of the run")
+    schema_of_file = chunks[0][0].get("format") if chunks else None
+    require_schema(path, schema_of_file, schema, what, "evaluate a recording of the run")
     tables = {}
     for magic, kind in kinds.items():
         parts = [np.empty(0, kind), *(item for _, item in chunks if item.dtype == kind)]

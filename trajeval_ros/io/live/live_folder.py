@@ -51,7 +51,7 @@ from trajeval_ros.online.live_availability import received_poses
 from trajeval_ros.pipeline.outcome import FailedRun, Outcome, RunOutcome
 from trajeval_ros.pipeline.pipeline import run_alone
 from trajeval_ros.pipeline.request import Request
-from trajeval_ros.pipeline.several_runs import with_own_errors, with_same_estimates_named
+from trajeval_ros.pipeline.several_runs import with_noise_corrected_ates, with_same_estimates_named
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def evaluate_folder(
     first = evaluated[0]
     # Jumps are attributed to fixes or estimates by comparing the estimates.
     runs = with_same_estimates_named([estimate.run for estimate in evaluated])
-    runs = with_own_errors(runs, first.request.fixes)
+    runs = with_noise_corrected_ates(runs, first.request.fixes)
     request = dataclasses.replace(first.request, protocol=runs[0].evaluation.protocol)
     settings = settings_with(request, first.stated)
     return Outcome(request, first.groundtruth, tuple(runs), tuple(failed), settings)
@@ -328,8 +328,8 @@ def _tested(
             raise
         untested = dataclasses.replace(request, covariances=CovarianceRequest(), integrity=None)
         summary, run = run_alone(groundtruth, estimate, untested)
-        said = f"the consistency test is not possible: {error}"
-        return summary, run, [warning("no_consistency_test", said)]
+        text = f"the consistency test is not possible: {error}"
+        return summary, run, [warning("no_consistency_test", text)]
 
 
 def _about_end(path: Path, recorded: RecordedStates) -> Iterator[Remark]:

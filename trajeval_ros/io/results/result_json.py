@@ -123,7 +123,8 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
             "form": protocol.ate_form,
             **{metric: statistics_json(value) for metric, value in evaluation.ate.items()},
         },
-        "own_error": run.own_error and dataclasses.asdict(run.own_error),
+        "noise_corrected_ate": run.noise_corrected_ate
+        and dataclasses.asdict(run.noise_corrected_ate),
         "re": None
         if evaluation.relative is None
         else {

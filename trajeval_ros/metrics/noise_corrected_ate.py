@@ -34,7 +34,7 @@ _MULTIPATH = 0.01
 
 
 @dataclass(frozen=True)
-class OwnError:
+class NoiseCorrectedAte:
     """The position error of an estimate without the noise of the paired fixes."""
 
     correlation_s: float  # correlation time of the fix errors, seconds
@@ -45,7 +45,7 @@ class OwnError:
     effective_fixes: float  # number of independent fixes with the same information
     fixes: int  # number of fixes in use
     jumps: int  # number of fixes left out, because the errors of all estimates jump there
-    own_jumps: int  # number of fixes where this estimate's error jumps and not all do; in use
+    single_jumps: int  # number of fixes where this estimate's error jumps and not all do; in use
     by_guess: bool  # whether the covariances of the fixes are the driver's approximation
     resolved: bool  # whether the error is known better than as an upper bound
 
@@ -110,10 +110,10 @@ def correlations_of(stamps: Stamps, correlation_s: float) -> Floats:
     return correlations
 
 
-def own_errors(
+def noise_corrected_ates(
     evaluations: Sequence[Evaluation], correlation_s: float
-) -> list[tuple[OwnError | None, str]]:
-    """Return the own error of every estimate of one run and "", or None and the reason.
+) -> list[tuple[NoiseCorrectedAte | None, str]]:
+    """Return the noise-corrected ATE of every estimate of one run and "", or None and the reason.
 
     All evaluations are against the same fixes. A jump in the errors of all estimates is a jump of
     the fixes; otherwise it is the estimate's. The correlation of the fix errors decays to 1/e in
@@ -124,7 +124,7 @@ def own_errors(
     blamed = flags[0]
     for flagged, stamps in zip(flags[1:], paired[1:], strict=True):
         blamed = np.intersect1d(blamed, np.union1d(flagged, np.setdiff1d(blamed, stamps)))
-    results: list[tuple[OwnError | None, str]] = []
+    results: list[tuple[NoiseCorrectedAte | None, str]] = []
     for evaluation, flagged in zip(evaluations, flags, strict=True):
         why = _why_not(evaluation)
         if why:
@@ -132,8 +132,8 @@ def own_errors(
             continue
         stamps = evaluation.association.groundtruth.stamps
         jumps = np.isin(stamps, np.intersect1d(flagged, blamed))
-        own_jumps = len(np.setdiff1d(flagged, blamed))
-        results.append((_own_error(evaluation, correlation_s, jumps, own_jumps), ""))
+        single_jumps = len(np.setdiff1d(flagged, blamed))
+        results.append((_noise_corrected_ate(evaluation, correlation_s, jumps, single_jumps), ""))
     return results
 
 
@@ -160,9 +160,9 @@ def _why_not(evaluation: Evaluation) -> str:
     return ""
 
 
-def _own_error(
-    evaluation: Evaluation, correlation_s: float, jumps: Booleans, own_jumps: int
-) -> OwnError:
+def _noise_corrected_ate(
+    evaluation: Evaluation, correlation_s: float, jumps: Booleans, single_jumps: int
+) -> NoiseCorrectedAte:
     fixes = evaluation.association.groundtruth.reading.fixes
     assert fixes is not None
     without = np.flatnonzero(~jumps)
@@ -172,7 +172,7 @@ def _own_error(
         everything = _of_rows(evaluation, np.arange(len(jumps)), correlation_s)
     half_width = (best.interval_m[1] - best.interval_m[0]) / 2.0
     is_multipath = np.count_nonzero(jumps) > _MULTIPATH * len(jumps)
-    return OwnError(
+    return NoiseCorrectedAte(
         correlation_s=correlation_s,
         ate_m=best.ate_m,
         interval_m=best.interval_m,
@@ -181,7 +181,7 @@ def _own_error(
         effective_fixes=best.effective,
         fixes=min(len(without), _MOST_FIXES),
         jumps=int(np.count_nonzero(jumps)),
-        own_jumps=own_jumps,
+        single_jumps=single_jumps,
         by_guess=bool((fixes.covariance_types == COVARIANCE_APPROXIMATED).any()),
         resolved=half_width <= best.ate_m / 2.0 and not is_multipath,
     )

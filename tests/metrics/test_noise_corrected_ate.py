@@ -14,7 +14,7 @@ from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import align
-from trajeval_ros.metrics.own_error import correlations_of, debiased, jumps_of
+from trajeval_ros.metrics.noise_corrected_ate import correlations_of, debiased, jumps_of
 
 COUNT = 200
 TIMES = np.arange(COUNT, dtype=float)
@@ -201,7 +201,7 @@ def test_nothing_is_dropped_because_it_disagrees() -> None:
     jumping[100:120] += [20.0, 0.0, 0.0]
     (found,) = runs_of(jumping)
     assert len(found.evaluation.association) == COUNT
-    ate, own = found.evaluation.ate["position_m"], found.own_error
+    ate, own = found.evaluation.ate["position_m"], found.noise_corrected_ate
     assert ate is not None
     assert ate.rmse > 5.0
     assert own is not None
@@ -216,11 +216,11 @@ def test_a_jump_of_one_estimate_is_its_own() -> None:
     jumping = drifting(1)
     jumping[100:110] += [20.0, 0.0, 0.0]
     bad, good = runs_of(jumping, drifting(2))
-    assert bad.own_error is not None
-    assert good.own_error is not None
-    assert (bad.own_error.jumps, bad.own_error.own_jumps) == (0, 10)
-    assert (good.own_error.jumps, good.own_error.own_jumps) == (0, 0)
-    assert bad.own_error.ate_m > 3.0
+    assert bad.noise_corrected_ate is not None
+    assert good.noise_corrected_ate is not None
+    assert (bad.noise_corrected_ate.jumps, bad.noise_corrected_ate.single_jumps) == (0, 10)
+    assert (good.noise_corrected_ate.jumps, good.noise_corrected_ate.single_jumps) == (0, 0)
+    assert bad.noise_corrected_ate.ate_m > 3.0
     assert any("only this estimate jumps" in w for w in bad.evaluation.warnings)
 
 
@@ -231,9 +231,9 @@ def test_a_jump_of_all_is_the_fixes() -> None:
     found = runs_of(drifting(1), drifting(2), fixes=multipath)
     assert len(found) == 2
     for item in found:
-        assert item.own_error is not None
-        assert (item.own_error.jumps, item.own_error.own_jumps) == (6, 0)
-        assert item.own_error.ate_m < 0.5 < item.own_error.with_jumps_m
+        assert item.noise_corrected_ate is not None
+        assert (item.noise_corrected_ate.jumps, item.noise_corrected_ate.single_jumps) == (6, 0)
+        assert item.noise_corrected_ate.ate_m < 0.5 < item.noise_corrected_ate.with_jumps_m
         assert any("caused by the receiver" in w for w in item.evaluation.warnings)
 
 
@@ -242,15 +242,15 @@ def test_a_jump_of_all_is_the_fixes() -> None:
 def test_covariances_that_nobody_knows_give_no_figure(kind: int) -> None:
     (found,) = runs_of(drifting(1), kind=kind)
     if kind == 0:
-        assert found.own_error is None
+        assert found.noise_corrected_ate is None
         assert any(
             "200 of the 200 paired fixes have no cov" in w for w in found.evaluation.warnings
         )
     else:
-        assert found.own_error is not None
-        assert found.own_error.by_guess == (kind == 1)
-        low, high = found.own_error.interval_m
-        assert low <= found.own_error.ate_m <= high
+        assert found.noise_corrected_ate is not None
+        assert found.noise_corrected_ate.by_guess == (kind == 1)
+        low, high = found.noise_corrected_ate.interval_m
+        assert low <= found.noise_corrected_ate.ate_m <= high
 
 
 @pytest.mark.slow
