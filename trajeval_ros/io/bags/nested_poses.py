@@ -223,7 +223,7 @@ def chosen_pose(fields: Fields, text: str, topic: str) -> NestedPose:
     listed = ", ".join(f"{topic}{place.field}" for place in places)
     choice = f"choose one of {listed}" if len(places) > 1 else f"give {listed}"
     if any(place.order for place in places):
-        choice += "; the order of the quaternion is not in the message"
+        choice += "; the message does not state the order of the quaternion in an array"
     raise InputError(
         f"{topic}{text} is not one pose; {choice}"
         if places
