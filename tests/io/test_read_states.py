@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 from tests.io.bags.test_pose_rules import poses
 from trajeval_ros import evaluate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_columns import PoseColumns
@@ -30,23 +28,6 @@ def made(columns: PoseColumns, **more: Any) -> Trajectory:
 def later(columns: PoseColumns) -> PoseColumns:
     """Return poses whose timestamps are not zero."""
     return columns.replaced(stamps=columns.stamps + SECOND)
-
-
-def test_the_frames_of_the_first_pose_name_the_trajectory() -> None:
-    found = made(later(poses()))
-    assert (found.frame, found.child_frame, found.name) == ("map", "base", "a")
-    assert found.reading.remarks == ()
-    assert found.covariances is None
-    assert not found.reading.has_identity_rotations
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_changes_of_frames_are_told_once(count: int) -> None:
-    frames = [(0, "map", "base"), (2, "odom", "base"), (3, "odom", "imu"), (5, "map", "imu")]
-    found = made(later(poses(frames=frames[: count + 1])))
-    text = "run:/a: frame_id changes from ('map', 'base') to ('odom', 'base') at pose 2"
-    text += {1: "", 2: ", and 1 more time", 3: ", and 2 more times"}[count]
-    assert found.reading.remarks == (note("frame_changed", text),)
 
 
 def test_columns_without_information_are_left_out() -> None:
@@ -71,13 +52,6 @@ def test_columns_without_information_are_left_out() -> None:
     points = made(columns.replaced(quaternions=None))
     assert points.quaternions is points.velocities is None
     assert not points.reading.has_identity_rotations
-
-
-def test_a_twist_of_the_world_is_told() -> None:
-    world = later(poses(frames=[(0, "world", "world")]))
-    assert [remark.code for remark in made(world).reading.remarks] == ["world_twist"]
-    without = world.replaced(body_velocities=np.zeros((6, 3)))
-    assert made(without).reading.remarks == ()
 
 
 def test_an_isolated_timestamp_is_dropped_and_told() -> None:
@@ -158,49 +132,6 @@ def test_key_figures_of_a_trajectory() -> None:
     assert found.largest_speed_mps == pytest.approx(3.0)
     assert found.longest_gap_s == pytest.approx(0.6)
     assert (found.holds, found.remarks, found.could_be) == ((), (), "estimate or groundtruth")
-
-
-def test_a_trajectory_of_one_or_two_states_or_without_times() -> None:
-    one = summarize("x", line([3.0], [5.0]))
-    assert (one.poses, one.rate_hz, one.mean_speed_mps, one.path_length_m) == (1, 0.0, 0.0, 0.0)
-    assert (one.largest_speed_mps, one.longest_gap_s, one.gaps) == (0.0, 0.0, 0)
-    two = summarize("x", line([3.0, 3.5], [5.0, 6.0]))
-    assert (two.rate_hz, two.mean_speed_mps, two.largest_speed_mps) == (2.0, 2.0, 2.0)
-    assert (two.longest_gap_s, two.gaps) == (0.5, 0)
-    rows = summarize("x", line([0.0, 1.0, 2.0], [0.0, 1.0, 3.0], stamped=False))
-    assert (rows.rate_hz, rows.mean_speed_mps, rows.largest_speed_mps) == (0.0, 0.0, 0.0)
-    assert (rows.longest_gap_s, rows.gaps, rows.path_length_m) == (0.0, 0, 3.0)
-
-
-def test_what_was_dropped_is_in_the_summary() -> None:
-    remarks = (note("format", "format: TUM"), note("layout", "no header"))
-    dropped = {"not_finite": 2, "duplicate_stamp": 1}
-    found = summarize("x", line([1.0, 2.0], [0.0, 1.0], remarks=remarks, dropped=dropped))
-    said = ("no header", "2 dropped: not finite", "1 dropped: duplicate stamp")
-    assert found.messages == said
-    assert found.kind == "TUM"
-
-
-@pytest.mark.parametrize(
-    ("columns", "role"),
-    [
-        ({}, "estimate or groundtruth"),
-        ({"velocities": np.ones((2, 3))}, "estimate"),
-        ({"covariances": np.ones((2, 6, 6))}, "estimate"),
-        ({"velocities": np.ones((2, 3)), "gyroscope_biases": np.ones((2, 3))},
-            "estimate or groundtruth"),
-        ({"frame": "vicon"}, "groundtruth"),
-    ],
-)  # fmt: skip
-def test_the_role_follows_from_the_columns(columns: dict[str, Any], role: str) -> None:
-    found = summarize("x", dataclasses.replace(line([1.0, 2.0], [0.0, 1.0]), **columns))
-    assert found.could_be == role
-    named = {
-        "velocity": "velocities",
-        "gyroscope bias": "gyroscope_biases",
-        "covariance": "covariances",
-    }
-    assert found.holds == tuple(name for name, column in named.items() if column in columns)
 
 
 def test_what_is_neither_table_nor_array_is_refused() -> None:

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_bags import simple, the_file
 from mcap.records import Channel, Schema
-from mcap_layouts import Layout, Part, record
+from mcap_layouts import Layout, Part
 from memory_file import Memory
 
 from tests.io.bags.test_sqlite_rows import rows_of
@@ -29,7 +29,6 @@ from trajeval_ros.io.bags.foxglove import FIX_TYPE, FoxglovePlan
 from trajeval_ros.io.bags.mcap_bag import McapReader
 from trajeval_ros.io.bags.mcap_chunk_reading import read_chunk
 from trajeval_ros.io.bags.mcap_contents import read_summary
-from trajeval_ros.io.bags.message_definitions import Connection, recorded_fields
 from trajeval_ros.io.bags.write_bag import POSE_STAMPED
 from trajeval_ros.io.sources import read_trajectory
 
@@ -79,17 +78,6 @@ def test_only_what_the_index_lists_is_read_of_a_chunk(image: int, pose: int) -> 
     assert rows_of([whole.block]) == rows_of([found.block])
     both = read_chunk(source, chunk, {POSE, IMAGE}, strict=False)
     assert rows_of([both.block]) == rows
-
-
-def test_the_last_message_of_a_chunk_may_be_longer_than_what_is_read_at_once() -> None:
-    for size in (4000, 4065, 4066, 4096, 20_000):
-        rows = [(IMAGE, 0, bytes(200_000)), (POSE, 1, bytes(size)), (OTHER, 2, b"")]
-        for given_ in (rows, rows[:2]):
-            content = bytes(Layout([], CHANNELS, [Part(given_)]))
-            [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
-            found = read_chunk(Counting(content), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
-            assert rows_of([found.block]) == [rows[1]]
-            assert found.is_partial
 
 
 @pytest.mark.parametrize("field", ["opcode", "length", "channel", "size", "time", "offset"])
@@ -266,55 +254,3 @@ def test_a_fix_of_foxglove_without_covariance_has_zeros() -> None:
         assert len(plan.decode([json.dumps(stamped).encode()]).rows) == is_time
     for wrong in ({"frame_id": 3}, {"latitude": "47"}, {"latitude": None}, {"altitude": True}):
         assert not len(plan.decode([json.dumps({**message, **wrong}).encode()]).rows)
-
-
-@pytest.mark.parametrize(("count", "is_accepted"), [(500, True), (501, False)])
-def test_a_time_is_two_fields(count: int, *, is_accepted: bool) -> None:
-    text = "".join(f"builtin_interfaces/Time f{row}\n" for row in range(count))
-    connection = Connection(0, "/x", "a/msg/T", "MSG", text, 0, "cdr", None)
-    assert (recorded_fields(connection) is not None) == is_accepted
-
-
-def test_a_chunk_that_is_no_chunk_is_damaged() -> None:
-    content = bytes(Layout([], CHANNELS, [Part([(POSE, 1, b"pose")], compression="zstd")]))
-    [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
-    for at, change, said in (
-        (0, 1, "misplaced"),
-        (1, 1, "misplaced"),
-        (25, 1, "invalid size"),
-        (33, 1, "checksum"),
-        (60, 1, "decompressed|checksum"),
-    ):
-        changed = bytearray(content)
-        changed[chunk.offset + at] ^= change
-        found = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=True)  # type: ignore[arg-type]
-        assert found.block is None
-        assert any(word in found.damage for word in said.split("|"))
-
-
-@pytest.mark.parametrize(("most", "size"), [(3, 10**6), (1000, 100), (4, 100)])
-def test_messages_outside_of_chunks_come_in_bounded_blocks(most: int, size: int) -> None:
-    rows = [(POSE, row, bytes(5 + row % 20)) for row in range(40)]
-    reader = McapReader(Memory(bytes(Layout([], CHANNELS, [Part(rows, is_chunk=False)]))))  # type: ignore[arg-type]
-    with mock.patch.multiple(mcap_bag, ROWS=most, BYTES=size):
-        blocks = list(reader.blocks([TopicSelection(frozenset({POSE}))]))
-    assert rows_of(blocks) == rows
-    assert max(map(len, blocks)) <= most
-    assert max(int(block.sizes.sum()) for block in blocks) < size + 25
-    assert len(blocks) <= 40 / most + sum(len(payload) for *_, payload in rows) / size + 1
-
-
-@pytest.mark.parametrize(("between", "count"), [(0, 1), (5, 1), (6, 8), (300, 8)])
-def test_messages_outside_of_chunks_are_read_with_what_is_little_between(
-    between: int, count: int
-) -> None:
-    parts = [
-        Part([(POSE, row, bytes([row]))], is_chunk=False, behind=record(0x90, bytes(between)))
-        for row in range(8)
-    ]
-    source: Any = Memory(bytes(Layout([], CHANNELS, parts)))
-    reader = McapReader(source)
-    with mock.patch.object(source, "read_all", side_effect=source.read_all) as read_all:
-        blocks = list(reader.blocks([TopicSelection(frozenset({POSE}))]))
-    assert rows_of(blocks) == [part.rows[0] for part in parts]
-    assert [len(ranges) for (ranges,), _ in read_all.call_args_list] == [count]

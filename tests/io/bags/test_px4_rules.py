@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import Any
 
 import numpy as np
@@ -10,20 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.io.test_ulog import COUNT, local_position, odometry
-from trajeval_ros.io.bags import px4_messages
 from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.declared_resets import declared_resets
 from trajeval_ros.io.bags.px4_messages import (
-    ATTITUDE,
     GPS,
     LOCAL_POSITION,
     ODOMETRY,
     about_px4,
-    attitude_name,
     majority_frame,
     poses_of_px4,
-    why_none,
-    with_attitudes,
 )
 
 Array = NDArray[Any]
@@ -31,42 +25,6 @@ Array = NDArray[Any]
 
 def columns_of(fields: dict[str, Array]) -> Columns:
     return Columns(np.arange(len(fields["timestamp"])), dict(fields), {}, {})
-
-
-@pytest.mark.parametrize(
-    ("delay_us", "measured"),
-    [(0, True), (1, True), (1_000_000, True), (1_000_001, False), (-1, False)],
-)
-def test_a_measurement_is_at_most_a_second_before_its_publication(
-    delay_us: int, *, measured: bool
-) -> None:
-    fields = odometry()
-    fields["timestamp"] = np.full(COUNT, 5_000_000, dtype=np.uint64)
-    fields["timestamp_sample"] = np.full(COUNT, 5_000_000 - delay_us, dtype=np.uint64)
-    expected = 5_000_000 - (delay_us if measured else 0)
-    assert set(poses_of_px4(columns_of(fields), ODOMETRY, 0).stamps) == {1000 * expected}
-
-
-def test_times_beyond_int64_are_its_last() -> None:
-    fields = odometry()
-    fields["timestamp"] = np.full(COUNT, 2**63 - 1, dtype=np.uint64)
-    fields["timestamp_sample"] = np.zeros(COUNT, dtype=np.uint64)
-    last = (2**63 - 1) // 1000 * 1000
-    assert set(poses_of_px4(columns_of(fields), ODOMETRY, 0).stamps.tolist()) == {last}
-
-
-@pytest.mark.parametrize(
-    ("length", "is_unit"), [(1.0099, True), (1.0101, False), (0.9901, True), (0.9899, False)]
-)
-def test_a_quaternion_of_px4_is_a_hundredth_from_unit_at_most(
-    length: float, *, is_unit: bool
-) -> None:
-    fields = odometry()
-    fields["q"][3] *= length / np.linalg.norm(fields["q"][3])
-    attitude = {"timestamp": fields["timestamp"], "q": fields["q"]}
-    for item, kind in ((fields, ODOMETRY), (attitude, ATTITUDE)):
-        dropped = poses_of_px4(columns_of(item), kind, 0).dropped
-        assert dropped["no_orientation"] == (0 if is_unit else 1)
 
 
 @pytest.mark.parametrize(("code", "status"), [*enumerate([-1, -1, -1, 0, 1, 2, 2, -1, 0]), (9, 0)])
@@ -105,73 +63,6 @@ def test_the_more_frequent_frame_of_px4_is_kept(frd: int, kept: str) -> None:
     assert (len(found.stamps), found.dropped["other_frame"]) == (count, COUNT - count)
     said = "; ".join(item.text for item in about_px4(found))
     assert f"converted from {'NED' if kept == 'map_enu' else 'FRD'}" in said
-
-
-@pytest.mark.parametrize(("quality", "failed"), [(-1, True), (-128, True), (0, False), (1, False)])
-def test_a_failed_quality_is_counted(quality: int, *, failed: bool) -> None:
-    fields = odometry()
-    fields["quality"][2:4] = quality
-    said = "; ".join(
-        item.text for item in about_px4(poses_of_px4(columns_of(fields), ODOMETRY, 0))
-    )
-    assert ("2 messages with quality -1 (failed)" in said) == failed
-
-
-@pytest.mark.parametrize(
-    ("dropped", "why"),
-    [
-        ({"xy_valid_false": 4}, "xy_valid is false in all 4 messages: the estimator had no hor"),
-        (
-            {"z_valid_false": 3},
-            "z_valid is false in all 3 messages: the estimator had no vertical",
-        ),
-        ({"xy_valid_false": 4, "no_position": 1}, "4 xy valid false, 1 no position"),
-        ({"z_valid_false": 0, "no_position": 2}, "2 no position"),
-    ],
-)
-def test_why_no_message_has_a_pose(dropped: dict[str, int], why: str) -> None:
-    assert why_none(dropped).startswith(why)
-
-
-@pytest.mark.parametrize(("gap_us", "is_usable"), [(100_000, True), (100_001, False)])
-def test_attitudes_are_interpolated_over_a_tenth_of_a_second(
-    gap_us: int, *, is_usable: bool
-) -> None:
-    times = np.array([1_000_000, 1_000_000 + gap_us], dtype=np.uint64)
-    fields = {"timestamp": times, "q": np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))}
-    attitudes = poses_of_px4(columns_of(fields), ATTITUDE, 0)
-    local = {name: item[:1] for name, item in local_position().items()}
-    local["timestamp"] = np.array([1_050_000], dtype=np.uint64)
-    positions = poses_of_px4(columns_of(local), LOCAL_POSITION, 0)
-    found = with_attitudes(positions, attitudes)
-    assert len(found.stamps) == is_usable
-    assert found.dropped.get("no_attitude_within_0.1_s", 0) == (not is_usable)
-    nothing = attitudes.rows_of(np.zeros(2, dtype=bool))
-    assert with_attitudes(positions, nothing) is positions
-
-
-def test_names_of_attitudes() -> None:
-    assert attitude_name("vehicle_local_position") == "vehicle_attitude"
-    assert attitude_name("/fmu/out/vehicle_local_position_v1") == "/fmu/out/vehicle_attitude"
-    assert attitude_name("/pose") == "/pose"
-
-
-@pytest.mark.parametrize("kind", px4_messages._SIZES)
-def test_messages_of_px4_are_known_by_their_size(kind: str) -> None:
-    """The fields are numbers of the release with that size; up to three bytes may follow."""
-    sizes = px4_messages._SIZES[kind]
-    for size in range(min(sizes) - 5, max(sizes) + 6):
-        fits = any(known <= size <= known + 3 for known in sizes)
-        payload = b"\0\1\0\0" + struct.pack("<Q", 7_000_000) + bytes(size - 12)
-        columns = px4_messages.Px4Plan(kind).decode([payload] * 3)
-        assert len(columns.rows) == (3 if fits else 0)
-        if fits:
-            assert columns.numbers["timestamp"].tolist() == [7_000_000] * 3
-    # The most frequent size is that of the layout.
-    one, other = min(sizes), max(sizes)
-    messages = [b"\0\1\0\0" + bytes(size - 4) for size in (one, other, other)]
-    rows = px4_messages.Px4Plan(kind).decode(messages).rows.tolist()
-    assert rows == ([1, 2] if one != other else [0, 1, 2])
 
 
 def test_a_message_with_several_faults_is_counted_once() -> None:

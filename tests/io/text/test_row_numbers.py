@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from refusals import is_refused
 
@@ -14,7 +13,6 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text import times
 from trajeval_ros.io.text.hints import TextHints
 
 SECOND = 10**9
@@ -41,28 +39,6 @@ def test_rows_without_times_are_counted_by_a_rate(tmp_path: Path) -> None:
     assert "frames counted, 1 s apart" in said(bare)
     for rate in (0.0, -1.0, math.inf, math.nan):
         assert is_refused(TextHints, frame_rate_hz=rate)
-
-
-@pytest.mark.parametrize(
-    ("number", "refused"),
-    [("99999999", False), ("100000000", True), ("-1", True), ("1.5", True), ("3", False)],
-)
-def test_frame_numbers_are_whole_and_below_a_hundred_million(
-    tmp_path: Path, number: str, *, refused: bool
-) -> None:
-    path = tmp_path / "x.csv"
-    path.write_text(f"frame,x,y,z\n0,1,2,3\n{number},2,3,4\n")
-    assert times._FRAMES == 10**8
-    if refused:
-        with pytest.raises(InputError, match=r"row 2 has no frame number in column 1"):
-            read_trajectory(path)
-        path.write_text(f"x,frame,y,z\n1,0,2,3\n2,{number},3,4\n")
-        with pytest.raises(InputError, match=r"row 2 has no frame number in column 2"):
-            read_trajectory(path)
-    else:
-        found = read_trajectory(path)
-        assert found.stamps.tolist() == [0, int(number) * SECOND]
-        assert found.reading.numbered
 
 
 @pytest.mark.parametrize("count", [3, 4, 5])
@@ -105,18 +81,3 @@ def test_whole_numbers_in_equal_steps_count_the_rows_of_a_file_of_times(
     if counts:
         expected = [100_500_000_000 + int(number) * SECOND for number in numbers]
         assert found.stamps.tolist() == expected
-
-
-@pytest.mark.parametrize(("last", "numbered"), [(9_999_999, True), (10_000_000, False)])
-def test_whole_numbers_next_to_an_array_are_frames(
-    tmp_path: Path, last: int, *, numbered: bool
-) -> None:
-    np.save(tmp_path / "x.npy", np.arange(9.0).reshape(3, 3))
-    np.save(tmp_path / "x_times.npy", np.array([0, 1, last]))
-    found = read_trajectory(tmp_path / "x.npy")
-    assert found.reading.numbered == numbered
-    np.save(tmp_path / "x_times.npy", np.array([0.0, 1.0, last + 0.5]))
-    assert not read_trajectory(tmp_path / "x.npy").reading.numbered
-    np.save(tmp_path / "x_times.npy", np.arange(2))
-    with pytest.raises(InputError, match=r"has shape \(2,\) for 3 poses"):
-        read_trajectory(tmp_path / "x.npy")
