@@ -11,18 +11,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth
 
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import array_input, lie
-from trajeval_ros.geometry.fix_selection import trajectory_of_rows
-from trajeval_ros.geometry.frame_axes import upright, with_body_axes, with_world_axes
-from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.marker import HandEye, at_arms
 from trajeval_ros.geometry.pose_conventions import Conventions
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.geometry.trajectory_edits import flattened, merged
-from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.trajectory_edits import flattened
 
 Array = NDArray[np.float64]
 SECOND = 1_000_000_000
@@ -40,19 +35,6 @@ def states(count: int = 6, **changed: Any) -> Trajectory:
 def matrices_of(trajectory: Trajectory) -> Array:
     assert trajectory.rotations is not None
     return np.asarray(trajectory.rotations.as_matrix())
-
-
-@pytest.mark.parametrize("rows", [3, 4])
-def test_matrices_are_split_into_positions_and_rotations(rows: int) -> None:
-    truth = states()
-    poses = np.zeros((6, 4, 4))
-    poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = matrices_of(truth), truth.positions, 1.0
-    places, turns = array_input.split_matrices(poses[:, :rows])
-    np.testing.assert_array_equal(places, truth.positions)
-    apart = Rotation.from_quat(turns).as_matrix() - matrices_of(truth)
-    np.testing.assert_allclose(apart, 0.0, atol=1e-14)
-    found = Trajectory.from_matrices(poses[:, :rows], stamps=truth.stamps)
-    np.testing.assert_array_equal(found.stamps, truth.stamps)
 
 
 class Table:
@@ -109,14 +91,6 @@ def test_units_scale_positions_velocities_and_covariances() -> None:
     np.testing.assert_allclose(found.covariances, units @ truth.covariances @ units)
     assert "multiplied by 0.5" in found.reading.remarks[-1].text
     assert Conventions().corrected(truth) is truth
-
-
-def test_quaternions_that_were_w_first() -> None:
-    truth = states()
-    found = Conventions(quaternion_order="wxyz").corrected(truth)
-    assert found.quaternions is not None
-    assert truth.quaternions is not None
-    np.testing.assert_array_equal(found.quaternions, np.roll(truth.quaternions, -1, axis=1))
 
 
 @pytest.mark.parametrize("axes", ["y,z,x", "-x,-y,z", "x,-y,z"])
@@ -212,54 +186,6 @@ def test_inverse_transforms_are_known_by_their_names(
     HandEye(IDENTITY, np.zeros(3), "imu", "imu").require_frames(*sides)
 
 
-def test_axes_of_bodies_and_worlds() -> None:
-    truth = states()
-    # The rows are right, down and ahead in ROS axes.
-    optical = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    body = with_body_axes(truth, "optical")
-    np.testing.assert_allclose(matrices_of(body), matrices_of(truth) @ optical.T, atol=1e-14)
-    np.testing.assert_array_equal(body.positions, truth.positions)
-    world = with_world_axes(truth, "optical")
-    np.testing.assert_array_equal(world.positions, truth.positions @ optical.T)
-    np.testing.assert_allclose(matrices_of(world), optical @ matrices_of(truth), atol=1e-14)
-    with pytest.raises(InputError, match="no orientations"):
-        with_body_axes(dataclasses.replace(truth, quaternions=None), "ros")
-    files = SourceInfo(matrices=matrices_of(truth))
-    turned = upright(dataclasses.replace(truth, up=UpAxis("-y"), reading=files))
-    assert turned.reading.matrices is not None
-    np.testing.assert_allclose(turned.reading.matrices, matrices_of(turned), atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("frame", "axis", "given"),
-    [
-        ("camera_optical", "-y", False), ("cam0_optical_frame", "-y", False),
-        ("optical_map", "z", False), ("", "z", False),
-    ],
-)  # fmt: skip
-def test_optical_frames_have_minus_y_up(frame: str, axis: str, given: bool) -> None:
-    found = UpAxis.of_frame(frame)
-    assert (found.name, found.is_given) == (axis, given)
-    assert UpAxis("x").is_given
-    assert str(UpAxis("x")) == "x (given)"
-    assert [UpAxis(name).index for name in ("x", "-y", "z")] == [0, 1, 2]
-
-
-@pytest.mark.parametrize(
-    ("place", "valid"),
-    [
-        ((90.0, -180.0, 1e6), True), ((-90.0, 360.0, -1e6), True), ((90.01, 0.0, 0.0), False),
-        ((0.0, -180.1, 0.0), False), ((0.0, 360.1, 0.0), False), ((0.0, 0.0, 1.1e6), False),
-    ],
-)  # fmt: skip
-def test_datums_have_their_limits(place: tuple[float, float, float], valid: bool) -> None:
-    if valid:
-        assert Datum(*place).coordinates.tolist() == list(place)
-    else:
-        with pytest.raises(SettingsError, match="out of range"):
-            Datum(*place)
-
-
 @pytest.mark.parametrize(("plane", "normal"), [("xy", 2), ("xz", 1), ("yz", 0)])
 def test_projections_keep_the_turn_about_the_normal(plane: str, normal: int) -> None:
     truth = states()
@@ -275,26 +201,3 @@ def test_projections_keep_the_turn_about_the_normal(plane: str, normal: int) -> 
     flat = flattened(dataclasses.replace(truth, quaternions=turns), plane)
     assert flat.quaternions is not None
     np.testing.assert_allclose(lie.rotation_vector(flat.quaternions) @ axis, angles, atol=1e-12)
-
-
-def test_merging_needs_times_and_one_vertical_axis() -> None:
-    truth = states()
-    with pytest.raises(InputError, match="run has no timestamps, which --merge needs"):
-        merged([truth, dataclasses.replace(truth, reading=SourceInfo(stamped=False))])
-    with pytest.raises(InputError, match="the vertical axis is z"):
-        merged([truth, dataclasses.replace(truth, up=UpAxis("-y"))])
-    whole = merged([truth[3:], truth[:4]])
-    np.testing.assert_array_equal(whole.stamps, truth.stamps)
-    assert whole.reading.dropped == {"duplicate_stamp": 1}
-    assert [remark.code for remark in whole.reading.remarks][:2] == ["merged", "merged_duplicates"]
-    bare = merged([truth[:3], dataclasses.replace(truth[3:], velocities=None)])
-    assert bare.velocities is None
-    assert bare.quaternions is not None
-
-
-def test_fixes_that_are_unusable_are_told_with_their_source() -> None:
-    quality = np.zeros((2, 11))
-    quality[:, 0] = -1.0
-    with pytest.raises(InputError, match=r"^/fix: no usable fix among 2 \(2 no fix\)"):
-        trajectory_of_rows("/fix", np.arange(2), np.ones((2, 3)), quality, SourceInfo())
-    assert len(InertialReadings(np.arange(3), np.zeros((3, 3)), None)) == 3
