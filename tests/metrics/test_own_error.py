@@ -133,47 +133,6 @@ def test_the_formulas_are_those_of_dense_matrices(gauge: Gauge) -> None:
     assert own.effective == pytest.approx(count * blocks / np.square(dense).sum())
 
 
-def test_a_fifth_of_the_noise_of_fixes_is_white() -> None:
-    correlations = correlations_of(STAMPS[:4], 3.0)
-    apart = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
-    expected = np.where(apart == 0, 1.0, 0.8 * np.exp(-apart / 3.0))
-    np.testing.assert_allclose(correlations, expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize(("lasts", "is_jump"), [(1, True), (28, True), (29, False), (45, False)])
-def test_a_change_that_lasts_half_a_minute_is_no_jump(lasts: int, is_jump: bool) -> None:
-    errors = np.zeros((COUNT, 3))
-    errors[::2, 0] = 0.1
-    errors[40 : 40 + lasts, 1] = 7.0
-    expected = list(range(40, 40 + lasts)) if is_jump else []
-    assert np.flatnonzero(jumps_of(STAMPS, errors)).tolist() == expected
-
-
-@pytest.mark.parametrize(("size_m", "is_jump"), [(4.8, False), (5.0, True)])
-def test_a_jump_is_five_times_the_median_step(size_m: float, is_jump: bool) -> None:
-    """Steps of 1 m along x; one along y makes hypot(1, size)."""
-    errors = np.zeros((COUNT, 3))
-    errors[::2, 0] = 1.0
-    errors[40:46, 1] = size_m
-    errors[80:90, 2] = 100.0  # heights are no jumps
-    assert jumps_of(STAMPS, errors).any() == is_jump
-
-
-def test_a_large_jump_may_rotate_the_alignment() -> None:
-    """The error comes back to another place; the two large steps cancel."""
-    errors = np.zeros((COUNT, 3))
-    errors[:, 0] = 0.1 * np.arange(COUNT)
-    errors[60:75, 1] = 30.0
-    errors[60:75, 0] += np.linspace(0.0, 4.0, 15)
-    errors[75:, 0] += 4.0
-    assert np.flatnonzero(jumps_of(STAMPS, errors)).tolist() == list(range(60, 75))
-
-
-def test_one_or_no_pair_has_no_jump() -> None:
-    for count in (0, 1, 2):
-        assert not jumps_of(STAMPS[:count], PATH[:count]).any()
-
-
 def runs_of(*estimates: np.ndarray, fixes: np.ndarray = PATH, kind: int = 2) -> list:
     random = np.random.default_rng(7)
     noisy = fixes + 0.02 * random.standard_normal(fixes.shape)

@@ -27,7 +27,6 @@ from strategies import along_line, make_element, make_groundtruth, moved, seeds
 from trajeval_ros import PROTOCOLS, Gauge, Trajectory, evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.metrics.moments import Moments, OrientationSum
-from trajeval_ros.metrics.rotation_freedom import OrientationEvidence, RotationUncertainty
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 
@@ -147,37 +146,6 @@ def test_two_pairs_determine_a_yaw(gauge: Gauge, way: str) -> None:
 
 
 # Warnings and what is withheld.
-
-
-@pytest.mark.parametrize(
-    ("std_deg", "error", "least", "turn", "stds", "expected"),
-    [
-        # error, least and turn in degrees; misleading, disagreeing, withheld
-        (5.0, 3.81, 1.0, 3.7, 1.0, (True, False, False)),
-        (5.0, 3.79, 1.0, 3.6, 1.0, (False, False, False)),
-        (5.0, 2.01, 0.1, 2.0, 1.0, (True, False, False)),
-        (5.0, 1.99, 0.1, 1.9, 9.0, (False, False, False)),
-        (5.0, 12.0, 0.1, 10.1, 1.0, (True, False, True)),
-        (5.0, 12.0, 0.1, 9.9, 1.0, (True, False, False)),
-        (5.0, 12.0, 11.0, 12.0, 1.0, (False, False, False)),
-        (5.0, 5.0, 0.1, 5.0, 4.9, (True, False, False)),
-        (5.0, 5.0, 0.1, 5.0, 5.1, (True, True, False)),
-        (29.9, 1.0, 1.0, 0.1, 0.1, (False, False, False)),
-        (30.1, 1.0, 1.0, 0.1, 0.1, (False, False, True)),
-    ],
-)
-def test_limits(
-    std_deg: float,
-    error: float,
-    least: float,
-    turn: float,
-    stds: float,
-    expected: tuple[bool, bool, bool],
-) -> None:
-    freedom = RotationUncertainty(False, std_deg, OrientationEvidence(error, least, turn, stds))
-    found = freedom.is_misleading, freedom.disagrees, bool(freedom.untrustworthy)
-    assert found == expected
-    assert bool(freedom.misleading) is expected[0]
 
 
 def test_a_turn_that_positions_hardly_determine_is_said_and_withheld() -> None:
