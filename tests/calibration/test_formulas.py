@@ -9,13 +9,9 @@ import pytest
 from calibration_flights import EPOCH
 from exact_flights import DURATION_S, FAULT, SCALE_OF_ESTIMATE, flown
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from scipy.stats import f as fisher
-from scipy.stats import t as student
 from strategies import seeds
 
-from trajeval_ros.calibration import robust_fit
 from trajeval_ros.calibration.hand_eye import closest_rotation, lever_arm, robust_rotation
 from trajeval_ros.calibration.increments import (
     LEVER,
@@ -25,13 +21,7 @@ from trajeval_ros.calibration.increments import (
     TURN,
     Increments,
     PoseInterpolator,
-    Unknowns,
-    nearest_rows,
-    whole_nanoseconds,
 )
-from trajeval_ros.calibration.observability import Directions, _directions, _turning, basis_of
-from trajeval_ros.calibration.robust_fit import block_of, huber_cost
-from trajeval_ros.calibration.significance import axis_name, judge, unobservable
 from trajeval_ros.geometry import so3
 
 
@@ -123,15 +113,6 @@ def test_either_side_has_the_same_jacobian(oriented: bool) -> None:
         np.testing.assert_allclose(other, own, atol=5e-3 * size)
 
 
-def test_a_step_of_the_parameters_turns_on_the_left() -> None:
-    start = Unknowns(0.1, 2e-4, so3.exp(np.array([0.2, 0.5, -0.3])), np.arange(3.0), 1.5)
-    step = np.array([0.01, 1e-5, 0.3, -0.2, 0.1, 1.0, 2.0, 3.0, 0.25])
-    found = start.moved(step)
-    assert (found.offset_s, found.skew, found.scale) == pytest.approx((0.11, 2.1e-4, 1.75))
-    np.testing.assert_allclose(found.turn, so3.exp(step[2:5]) @ start.turn, atol=1e-14)
-    np.testing.assert_allclose(found.lever_m, [1.0, 3.0, 5.0])
-
-
 def test_pairs_do_not_cross_gaps() -> None:
     truth, estimate, _ = flown()
     kept = np.ones(401, dtype=bool)
@@ -155,18 +136,6 @@ def test_pairs_do_not_cross_gaps() -> None:
     dense = PoseInterpolator.of(estimate, with_rotations=False)
     assert (dense.step_s, dense.gap_s) == pytest.approx((0.05, 0.5))
     assert dense.quaternions is None
-
-
-@given(
-    st.lists(st.integers(0, 100), min_size=1, max_size=12, unique=True),
-    st.lists(st.integers(-20, 120), min_size=1, max_size=12),
-)
-def test_nearest_rows_are_nearest(stamps: list[int], wanted: list[int]) -> None:
-    times = np.array(sorted(stamps))
-    found = nearest_rows(times, np.array(wanted))
-    for row, item in zip(found.tolist(), wanted, strict=True):
-        assert abs(times[row] - item) == np.abs(times - item).min()
-    assert whole_nanoseconds(0.1 + 0.2) == 300_000_000
 
 
 @given(seed=seeds)
@@ -219,151 +188,3 @@ def test_lever_arms_of_exact_motions(seed: int) -> None:
         )
         np.testing.assert_allclose(found, lever, atol=1e-9)
         assert size == pytest.approx(scale)
-
-
-def test_time_blocks_are_equal_and_three_horizons_long() -> None:
-    seconds = np.arange(0.0, 36.0001, 0.5) + 100.0
-    assert np.bincount(block_of(seconds, 1.0)).tolist() == [*[6] * 11, 7]
-    # 20 s have six blocks of 3 s, the last one with the rest.
-    seconds = np.arange(0.0, 20.001, 0.5)
-    assert np.bincount(block_of(seconds, 1.0)).tolist() == [6, 6, 6, 6, 6, 11]
-    assert np.bincount(block_of(seconds, 2.5)).tolist() == [15, 15 + 11]
-    long = np.arange(0.0, 120.001, 1.0)
-    assert np.bincount(block_of(long, 1.0)).tolist() == [*[10] * 11, 11]
-    # Blocks without data are not counted.
-    assert block_of(np.array([0.0, 1.0, 30.0, 36.0]), 1.0).tolist() == [0, 0, 1, 2]
-    assert block_of(np.zeros(3), 1.0).tolist() == [0, 0, 0]
-
-
-def test_huber_weights_by_hand() -> None:
-    residual = np.zeros((5, 6))
-    residual[:, 0] = [1.5382, 0.5, 1.5382, 3.8455, 7.691]
-    residual[:, 4] = 1e-9
-    weights = robust_fit._weights(residual, (slice(0, 3), slice(3, 6)))
-    # The spread is 1; beyond 2.5 of it, weights fall with the length.
-    np.testing.assert_allclose(weights[:, 0], [1, 1, 1, 2.5 / 3.8455, 2.5 / 7.691])
-    np.testing.assert_allclose(weights[:, 1], 1e14)
-    only = robust_fit._weights(residual, (slice(3, 6),))
-    assert not only[:, 0].any()
-    bare = robust_fit._weights(residual[:, :3], (slice(0, 3), slice(3, 6)))
-    np.testing.assert_array_equal(bare[:, 0], weights[:, 0])
-    assert not bare[:, 1].any()
-    # The cost is quadratic within, and linear beyond.
-    cost = huber_cost(residual, residual, slice(0, 3))
-    inside = (2 * 1.5382**2 + 0.25) / 2.0
-    outside = 2.5 * (3.8455 - 1.25) + 2.5 * (7.691 - 1.25)
-    assert cost == pytest.approx((inside + outside) / 5.0)
-    assert huber_cost(np.zeros((3, 6)), residual, slice(0, 3)) == pytest.approx(1e-12)
-    assert huber_cost(np.zeros((3, 6)), residual, slice(3, 6)) == pytest.approx(1e-14)
-
-
-def test_the_inverse_of_a_hessian_leaves_out_what_is_undetermined() -> None:
-    generator = np.random.default_rng(0)
-    root = generator.normal(size=(4, 6)) * np.array([1.0, 1e-6, 1e6, 1.0])[:, None]
-    hessian = root @ root.T
-    scale = np.outer(1.0 / np.sqrt(np.diag(hessian)), 1.0 / np.sqrt(np.diag(hessian)))
-    found = robust_fit._inverse(hessian)
-    np.testing.assert_allclose(found / scale @ (hessian * scale), np.eye(4), atol=1e-9)
-    nothing = np.zeros((5, 5))
-    nothing[:4, :4] = hessian
-    np.testing.assert_allclose(robust_fit._inverse(nothing)[:4, :4] / scale, found / scale)
-    assert not robust_fit._inverse(nothing)[4].any()
-    singular = np.array([[1.0, 1.0], [1.0, 1.0]])
-    np.testing.assert_allclose(robust_fit._inverse(singular), 0.25 * singular)
-
-
-def test_a_sandwich_by_hand() -> None:
-    gradients = np.array([[1.0], [-2.0], [3.0], [0.5]])
-    # sum g^2 / h^2 times B / (B - P).
-    found = robust_fit.sandwich(np.array([[4.0]]), gradients)
-    assert found[0, 0] == pytest.approx(14.25 / 16.0 * 4.0 / 3.0)
-
-
-def test_reliability_is_the_correlation_of_both_jacobians() -> None:
-    generator = np.random.default_rng(1)
-    motion = generator.normal(size=(4000, 3, 1))
-    one, other = (motion + generator.normal(size=motion.shape) for _ in range(2))
-    found = _directions(one, other, np.ones((4000, 3)))
-    # Equal powers of motion and noise.
-    assert found.reliability[0] == pytest.approx(0.5, abs=0.02)
-    assert _directions(one, -one, np.ones((4000, 3))).reliability[0] == pytest.approx(-1.0)
-    assert _directions(0.0 * one, one, np.ones((4000, 3))).reliability[0] == 0.0
-    weights = generator.uniform(size=(4000, 3))
-    products = [float((weights * a * b).sum()) for a, b in (
-        (one[..., 0], one[..., 0]), (other[..., 0], other[..., 0]), (one[..., 0], other[..., 0])
-    )]  # fmt: skip
-    expected = products[2] / np.sqrt(products[0] * products[1])
-    assert _directions(one, other, weights).reliability[0] == pytest.approx(expected)
-    # Two parameters: their directions are those of the sum of both informations.
-    both = np.concatenate([one, 3.0 * one, other], axis=2)[:, :, [0, 1]]
-    axes = _directions(both, both, np.ones((4000, 3))).directions
-    np.testing.assert_allclose(np.abs(axes[1]), [1 / np.sqrt(10), 3 / np.sqrt(10)], atol=1e-9)
-    directions = Directions(np.eye(3), np.array([0.49, 0.5, 0.9]))
-    assert directions.seen.tolist() == [False, True, True]
-
-
-@pytest.mark.parametrize(("angle", "seen"), [(0.0199, 0), (0.0201, 2)])
-def test_lever_arms_of_positions_need_turns(angle: float, seen: int) -> None:
-    # A turn by t about z moves a point by 2 sin(t / 2) per metre.
-    turned = np.tile(so3.rot_z(2.0 * np.arcsin(angle / 2.0)) - np.eye(3), (5, 1, 1))
-    found = _turning(turned)
-    assert int(found.seen.sum()) == seen
-    if seen:
-        np.testing.assert_allclose(found.directions[~found.seen], [[0.0, 0.0, 1.0]], atol=1e-9)
-
-
-def test_a_basis_has_free_directions_as_columns() -> None:
-    axis = np.array([[0.0, 0.6, 0.8]])
-    found = basis_of({"offset": np.eye(1), "lever": axis, "scale": np.eye(1)})
-    expected = np.zeros((9, 3))
-    expected[0, 0] = expected[8, 2] = 1.0
-    expected[5:8, 1] = axis[0]
-    np.testing.assert_array_equal(found, expected)
-    assert basis_of({}).shape == (9, 0)
-
-
-def test_names_of_axes() -> None:
-    assert axis_name(np.array([0.0, -1.0, 0.0])) == "y"
-    assert axis_name(np.array([0.0, np.sqrt(1 - 0.971**2), 0.971])) == "z"
-    assert axis_name(np.array([0.969, np.sqrt(1 - 0.969**2), 0.0])) == "(0.97 0.25 0.00)"
-
-
-def test_verdicts_of_a_parameter_by_hand() -> None:
-    seen = Directions(np.eye(3), np.ones(3))
-    covariance = np.diag([0.01, 0.04, 0.09])
-    value = np.array([1.0, -0.5, 0.2])
-
-    def verdict(size: float = 1.0, *, systematic: float = 0.0, widest: float = 10.0,
-                directions: Directions = seen, whole: bool = False):  # fmt: skip
-        return judge(size * value, covariance, systematic, directions, 12, widest=widest, unit="m",
-                     whole=whole)  # fmt: skip
-
-    quantile = float(student.ppf(0.975, 11))
-    found = verdict(systematic=0.3)
-    assert found.sigma is not None
-    assert found.half_width_95 is not None
-    sigma = np.sqrt([0.10, 0.13, 0.18])
-    np.testing.assert_allclose(found.sigma, sigma)
-    np.testing.assert_allclose(found.half_width_95, quantile * sigma, rtol=1e-9)
-    statistic = float((value**2 / sigma**2).sum()) / 3.0
-    assert found.chance == pytest.approx(float(fisher.sf(statistic, 3, 11)))
-    critical = np.sqrt(fisher.isf(0.0027, 3, 11) / ((value**2 / [0.01, 0.04, 0.09]).sum() / 3.0))
-    assert verdict(1.001 * critical).is_significant
-    assert verdict(0.999 * critical).status == "insignificant"
-    assert verdict(100.0).reason == "p < 1e-6"
-    # The precision is that of the run alone, along its worst direction.
-    assert verdict(systematic=9.0, widest=1.001 * quantile * 0.3).status == "insignificant"
-    weak = verdict(widest=0.999 * quantile * 0.3)
-    assert weak.status == "weak"
-    assert weak.reason.startswith("95 % half width 0.66 m, limit")
-    part = Directions(np.eye(3), np.array([1.0, 1.0, 0.2]))
-    hidden = verdict(directions=part)
-    assert hidden.seen == 2
-    assert hidden.sigma is not None
-    np.testing.assert_allclose(hidden.sigma, [0.1, 0.2, np.nan])
-    assert "not observable along z, assumed 0 there" in hidden.reason
-    assert verdict(directions=part, whole=True).status == "unobservable"
-    none = verdict(directions=Directions(np.eye(3), np.array([0.1, 0.3, 0.2])))
-    assert "reliability 0.30, required 0.5" in none.reason
-    assert unobservable("why").reliability.size == 0
-    assert unobservable("why").chance is None

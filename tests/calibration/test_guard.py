@@ -7,18 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_flights import Fault, fly
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from strategies import seeds
 
 from trajeval_ros import simulate
 from trajeval_ros.calibration import significance
 from trajeval_ros.calibration.apply import evaluate_calibrated
 from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
-from trajeval_ros.calibration.increments import COLUMNS, POSITION, ROTATION, Increments
-from trajeval_ros.calibration.robust_fit import fit, huber_cost
+from trajeval_ros.calibration.increments import COLUMNS, Increments
+from trajeval_ros.calibration.robust_fit import fit
 from trajeval_ros.calibration.significance import chance_of
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -128,28 +125,6 @@ def test_a_rotation_that_both_kinds_of_rows_show_is_kept(kind: str, seed: int) -
     assert turn.is_significant
     assert turn.value is not None
     np.testing.assert_allclose(turn.value, vector, atol=np.radians(1.0))
-
-
-@given(seeds, st.sampled_from([POSITION, ROTATION]), st.floats(1.0, 1e3))
-def test_hubers_cost_is_quadratic_within_and_linear_beyond(
-    seed: int, kind: slice, far: float
-) -> None:
-    random = np.random.default_rng(seed)
-    residual = random.normal(size=(50, 6))
-    lengths = np.linalg.norm(residual[:, kind], axis=1)
-    bound = 2.5 * np.median(lengths) / 1.5382
-    within = residual * (0.9 * bound / lengths.max())
-    assert huber_cost(within, residual, kind) == pytest.approx(
-        np.mean((0.9 * bound * lengths / lengths.max()) ** 2) / 2.0
-    )
-    beyond = residual * (bound * far / lengths)[:, None]
-    assert huber_cost(beyond, residual, kind) == pytest.approx(bound**2 * (far - 0.5))
-
-
-def test_what_is_all_zero_costs_the_finest_spread() -> None:
-    nothing = np.zeros((5, 6))
-    assert huber_cost(nothing, nothing, POSITION) == pytest.approx(1e-12)
-    assert huber_cost(nothing, nothing, ROTATION) == pytest.approx(1e-14)
 
 
 def test_chance_is_that_of_hotellings_test() -> None:
