@@ -117,60 +117,6 @@ def test_fixes_of_two_kinds_are_told_with_the_limit_between_them() -> None:
     assert said(unknown) == {}
 
 
-@pytest.mark.parametrize(("ratio", "is_told"), [(10.01, True), (9.99, False)])
-def test_fixes_of_two_kinds_differ_by_a_factor_of_ten(ratio: float, *, is_told: bool) -> None:
-    sigma = np.full(COUNT, 0.3)
-    sigma[7] = 0.3 * ratio
-    assert bool(said(fixes_of(sigma))) == is_told
-
-
-@pytest.mark.parametrize(
-    ("extents", "gauge", "is_told"),
-    [
-        ((5001.0, 30.0), Gauge.YAW, True),
-        ((30.0, 5001.0), Gauge.NONE, True),
-        ((4999.0, 4999.0), Gauge.YAW, False),
-        ((5001.0, 30.0), Gauge.SE3, False),
-    ],
-)
-def test_the_curvature_is_told_from_five_kilometres_on(
-    extents: tuple[float, float], gauge: Gauge, *, is_told: bool
-) -> None:
-    """Of a sphere, the tangent plane is 2 m away there."""
-    assert np.hypot(5000.0, 6_371_000.0) - 6_371_000.0 == pytest.approx(2.0, rel=0.02)
-    found = said(extents=extents, gauge=gauge)
-    assert found.keys() == ({"curvature_of_the_earth"} if is_told else set())
-    assert all(" 5.0 km, where" in item for item in found.values())
-
-
-@pytest.mark.parametrize(
-    ("tilt_deg", "sigma_up_m", "gauge", "is_told"),
-    [
-        (5.1, 1.0, Gauge.SE3, True),
-        (4.9, 1.0, Gauge.SE3, False),
-        (4.9, 10.1, Gauge.SE3, True),
-        (4.9, 9.9, Gauge.SE3, False),
-        (1.1, 10.1, Gauge.SIM3, True),
-        (0.9, 10.1, Gauge.SE3, False),
-        (1.1, np.nan, Gauge.SE3, True),
-        (5.1, 10.1, Gauge.YAW, False),
-    ],
-)
-def test_an_alignment_is_tilted_by_uncertain_heights_or_by_much(
-    tilt_deg: float, sigma_up_m: float, gauge: Gauge, *, is_told: bool
-) -> None:
-    """Uncertain by a tenth of the horizontal extent, 100 m; of one fix at least."""
-    sigma_up = np.ones(COUNT)
-    sigma_up[5] = sigma_up_m
-    if np.isnan(sigma_up_m):
-        assert said(fixes_of(sigma_up_m=sigma_up), gauge=gauge, tilt_deg=tilt_deg) == {}
-        sigma_up[:] = np.nan
-    found = said(fixes_of(sigma_up_m=sigma_up), gauge=gauge, tilt_deg=tilt_deg)
-    assert found.keys() == ({"tilted_by_heights"} if is_told else set())
-    start = f"gauge {gauge.value} tilts the estimate by {tilt_deg:.1f} deg to fit"
-    assert all(item.startswith(start) for item in found.values())
-
-
 def heights_with_step(
     place: int, step_m: float, noise_m: float = 0.0, back_m: float = 0.0
 ) -> np.ndarray[Any, Any]:
@@ -207,37 +153,6 @@ def test_heights_that_change_once_and_stay_are_of_two_references(
         level = np.median(heights[place : place + 10]) - np.median(heights[place - 10 : place])
         assert f" change by {level:+.1f} m at once" in found["heights_jump"]
     assert said(heights=heights, gauge=Gauge.PLANAR) == {}
-
-
-def test_the_levels_beside_a_step_are_of_ten_fixes() -> None:
-    """Farther away, the heights drift."""
-    heights = heights_with_step(20, 30.0)
-    heights[:10] = -8.0
-    heights[30:] = 38.0
-    assert " change by +30.0 m at once" in said(heights=heights)["heights_jump"]
-
-
-@pytest.mark.parametrize(("count", "is_told"), [(20, True), (19, False)])
-def test_a_step_of_heights_needs_twenty_fixes(count: int, *, is_told: bool) -> None:
-    heights = np.where(np.arange(count) < 10, 0.0, 30.0)
-    assert bool(said(fixes_of(count=count), heights=heights)) == is_told
-
-
-@pytest.mark.parametrize(
-    ("off_m", "scale", "rmse", "is_told"),
-    [
-        (0.0251, 2.0, 0.5, True),
-        (0.0249, 2.0, 0.5, False),
-        (9.0, 2.0, None, False),
-    ],
-)
-def test_interpolation_of_a_tenth_of_the_ate_is_told(
-    off_m: float, scale: float, rmse: float | None, *, is_told: bool
-) -> None:
-    interpolation = SimpleNamespace(off_m=off_m, step_s=0.5)
-    found = said(interpolation=interpolation, scale=scale, rmse=rmse)
-    assert found.keys() == ({"interpolated_estimate"} if is_told else set())
-    assert all("0.5 s apart, adds an error of up to 0.05 m to" in item for item in found.values())
 
 
 def test_fixes_need_heights_or_a_plane_and_a_common_frame_or_a_gauge() -> None:
