@@ -1,4 +1,4 @@
-"""Warnings about GNSS fixes: limits from both sides, and the numbers of the sentences."""
+"""Warnings about GNSS fixes: which are told, and the numbers of the sentences."""
 
 from __future__ import annotations
 
@@ -131,16 +131,14 @@ def heights_with_step(
 @pytest.mark.parametrize(
     ("place", "step_m", "noise_m", "back_m", "is_told"),
     [
-        (20, 8.01, 0.0, 0.0, True),
-        (20, 7.99, 0.0, 0.0, False),
-        (10, 30.0, 0.0, 0.0, True),
-        (9, 30.0, 0.0, 0.0, False),
-        (COUNT - 10, 30.0, 0.0, 0.0, True),
-        (COUNT - 9, 30.0, 0.0, 0.0, False),
-        (20, 30.0, 2.7, 0.0, True),  # a tenth of 27.3 m
-        (20, 30.0, 2.75, 0.0, False),
-        (20, 30.0, 0.0, 4.9, True),  # 4.9 of 25.1 m
-        (20, 30.0, 0.0, 5.1, False),
+        (20, 12.0, 0.0, 0.0, True),
+        (20, 5.0, 0.0, 0.0, False),
+        (3, 30.0, 0.0, 0.0, False),
+        (COUNT - 3, 30.0, 0.0, 0.0, False),
+        (20, 30.0, 1.0, 0.0, True),
+        (20, 30.0, 8.0, 0.0, False),
+        (20, 30.0, 0.0, 2.0, True),
+        (20, 30.0, 0.0, 10.0, False),
     ],
 )
 def test_heights_that_change_once_and_stay_are_of_two_references(
@@ -153,6 +151,34 @@ def test_heights_that_change_once_and_stay_are_of_two_references(
         level = np.median(heights[place : place + 10]) - np.median(heights[place - 10 : place])
         assert f" change by {level:+.1f} m at once" in found["heights_jump"]
     assert said(heights=heights, gauge=Gauge.PLANAR) == {}
+
+
+SPARSE = SimpleNamespace(off_m=0.05, step_s=0.5)
+
+
+@pytest.mark.parametrize(
+    ("evaluated", "told"),
+    [
+        ({"extents": (6000.0, 30.0)}, {"curvature_of_the_earth": " 6.0 km, where"}),
+        ({"extents": (6000.0, 30.0), "gauge": Gauge.SE3}, {}),
+        ({"extents": (3000.0, 3000.0)}, {}),
+        ({"tilt_deg": 9.0, "gauge": Gauge.SE3}, {"tilted_by_heights": "by 9.0 deg to fit"}),
+        ({"tilt_deg": 9.0}, {}),
+        ({"tilt_deg": 3.0, "gauge": Gauge.SE3}, {}),
+        ({"tilt_deg": 3.0, "gauge": Gauge.SIM3, "sigma_up_m": 20.0},
+            {"tilted_by_heights": "by 3.0 deg to fit"}),
+        ({"interpolation": SPARSE, "rmse": 0.2}, {"interpolated_estimate": "up to 0.05 m to"}),
+        ({"interpolation": SPARSE, "rmse": 5.0}, {}),
+        ({"interpolation": SPARSE, "rmse": 2.0, "scale": 10.0},
+            {"interpolated_estimate": "up to 0.5 m to"}),
+    ],
+)  # fmt: skip
+def test_large_effects_are_told(evaluated: dict[str, Any], told: dict[str, str]) -> None:
+    sigma_up = np.full(COUNT, evaluated.pop("sigma_up_m", 1.0))
+    remarks = said(fixes_of(sigma_up_m=sigma_up), **evaluated)
+    assert remarks.keys() == told.keys()
+    for code, part in told.items():
+        assert part in remarks[code]
 
 
 def test_fixes_need_heights_or_a_plane_and_a_common_frame_or_a_gauge() -> None:
