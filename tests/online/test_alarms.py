@@ -72,12 +72,11 @@ def levels(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("phase", [0.0, 0.37])
-def test_all_excursions_of_a_tenth_of_a_second_are_seen(phase: float) -> None:
-    seconds = 201
+def test_all_excursions_of_a_tenth_of_a_second_are_seen() -> None:
+    seconds = 101
     position = np.zeros((200 * seconds, 3))
     # In every second second, at another place of it.
-    begins = 200 + 400 * np.arange(100) + np.rint(170 * ((phase + 0.618 * np.arange(100)) % 1.0))
+    begins = 200 + 400 * np.arange(50) + np.rint(170 * ((0.618 * np.arange(50)) % 1.0))
     for begin in begins.astype(int):
         position[begin : begin + 20, 0] = 0.5
     turned = np.where(position[:, 0] > 0.0, 5.0, 0.0)
@@ -93,7 +92,7 @@ def test_all_excursions_of_a_tenth_of_a_second_are_seen(phase: float) -> None:
     assert [item == expected for item in seen] == [
         bool((position[200 * second : 200 * second + 200] > 0).any()) for second in range(seconds)
     ]
-    assert sum(item == expected for item in seen) == 100
+    assert sum(item == expected for item in seen) == 50
     assert all(item in ({}, expected) for item in seen)
 
 

@@ -139,7 +139,7 @@ def test_what_only_a_recording_shows_is_refused(settings: dict[str, Any], what: 
 
 
 @pytest.mark.slow
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(seed=seeds)
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
 @pytest.mark.parametrize("window", ["0", "5s", "4m", "37"])
