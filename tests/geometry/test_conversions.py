@@ -13,11 +13,13 @@ from strategies import make_groundtruth
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import array_input, lie
+from trajeval_ros.geometry.frame_axes import upright, with_body_axes, with_world_axes
 from trajeval_ros.geometry.marker import HandEye, at_arms
 from trajeval_ros.geometry.pose_conventions import Conventions
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.geometry.trajectory_edits import flattened
+from trajeval_ros.geometry.trajectory_edits import flattened, merged
+from trajeval_ros.geometry.up_axis import UpAxis
 
 Array = NDArray[np.float64]
 SECOND = 1_000_000_000
@@ -201,3 +203,44 @@ def test_projections_keep_the_turn_about_the_normal(plane: str, normal: int) -> 
     flat = flattened(dataclasses.replace(truth, quaternions=turns), plane)
     assert flat.quaternions is not None
     np.testing.assert_allclose(lie.rotation_vector(flat.quaternions) @ axis, angles, atol=1e-12)
+
+
+def test_merging_needs_times_and_one_vertical_axis() -> None:
+    truth = states()
+    with pytest.raises(InputError, match="run has no timestamps, which --merge needs"):
+        merged([truth, dataclasses.replace(truth, reading=SourceInfo(stamped=False))])
+    with pytest.raises(InputError, match="the vertical axis is z"):
+        merged([truth, dataclasses.replace(truth, up=UpAxis("-y"))])
+    whole = merged([truth[3:], truth[:4]])
+    np.testing.assert_array_equal(whole.stamps, truth.stamps)
+    assert whole.reading.dropped == {"duplicate_stamp": 1}
+    assert [remark.code for remark in whole.reading.remarks][:2] == ["merged", "merged_duplicates"]
+    bare = merged([truth[:3], dataclasses.replace(truth[3:], velocities=None)])
+    assert bare.velocities is None
+    assert bare.quaternions is not None
+
+
+def test_quaternions_that_were_w_first() -> None:
+    truth = states()
+    found = Conventions(quaternion_order="wxyz").corrected(truth)
+    assert found.quaternions is not None
+    assert truth.quaternions is not None
+    np.testing.assert_array_equal(found.quaternions, np.roll(truth.quaternions, -1, axis=1))
+
+
+def test_axes_of_bodies_and_worlds() -> None:
+    truth = states()
+    # The rows are right, down and ahead in ROS axes.
+    optical = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    body = with_body_axes(truth, "optical")
+    np.testing.assert_allclose(matrices_of(body), matrices_of(truth) @ optical.T, atol=1e-14)
+    np.testing.assert_array_equal(body.positions, truth.positions)
+    world = with_world_axes(truth, "optical")
+    np.testing.assert_array_equal(world.positions, truth.positions @ optical.T)
+    np.testing.assert_allclose(matrices_of(world), optical @ matrices_of(truth), atol=1e-14)
+    with pytest.raises(InputError, match="no orientations"):
+        with_body_axes(dataclasses.replace(truth, quaternions=None), "ros")
+    files = SourceInfo(matrices=matrices_of(truth))
+    turned = upright(dataclasses.replace(truth, up=UpAxis("-y"), reading=files))
+    assert turned.reading.matrices is not None
+    np.testing.assert_allclose(turned.reading.matrices, matrices_of(turned), atol=1e-14)

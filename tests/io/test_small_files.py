@@ -245,3 +245,29 @@ def test_arrays_are_refused_by_their_ratio_and_size(tmp_path: Path) -> None:
         archive.writestr("a.npy", whole.read_bytes() + b"more")
     with pytest.raises(InputError, match="a is not a plain array, or its size is wrong"):
         read_arrays(path, ("a",))
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({"r_z": 1.2, "r_w": 1.6}, "has length 2 and is not a unit quaternion"),
+        ({"x_x": 1e15}, "translation.x must be a number"),
+        ({"x_z": "3"}, "translation.z must be a number"),
+        ({"r_v": 1}, "unknown"),
+        ({"scale": 0}, "scale must be a number greater than zero"),
+        ({"scale": "1"}, "scale must be a number greater than zero"),
+    ],
+)
+def test_numbers_of_a_transform(tmp_path: Path, changes: dict[str, Any], part: str) -> None:
+    path = tmp_path / "t.yaml"
+    scale = {"scale": changes.pop("scale", 2)}
+    path.write_text(json.dumps({**transform(**changes), **scale}))
+    with pytest.raises(InputError, match=part):
+        read_similarity(path)
+
+
+def test_a_large_file_of_yaml_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text("a: 1\n" + "#" * 10_000_000)
+    with pytest.raises(InputError, match=r"larger than .*, the limit for YAML"):
+        read_mapping(path, "thing")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 from collections.abc import Callable
+from pathlib import Path
 
 import lz4.frame
 import numpy as np
@@ -12,8 +13,10 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.compression import (
     decompress,
+    decompress_file,
 )
 
 MIB = 1 << 20
@@ -50,3 +53,10 @@ def test_frames_of_zstd_in_a_row_are_read() -> None:
     assert bytes(decompress("zstd", both, 100)) == b"one, two"
     with pytest.raises(ValueError, match="unknown compression 'brotli'"):
         decompress("brotli", b"", 1)
+
+
+def test_a_file_that_is_not_compressed_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap.zst"
+    path.write_bytes(b"no zstd")
+    with pytest.raises(InputError, match=r"run\.mcap\.zst can't be decompressed"):
+        decompress_file(path, tmp_path)

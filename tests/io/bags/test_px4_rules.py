@@ -16,6 +16,7 @@ from trajeval_ros.io.bags.px4_messages import (
     LOCAL_POSITION,
     ODOMETRY,
     about_px4,
+    attitude_name,
     majority_frame,
     poses_of_px4,
 )
@@ -97,3 +98,9 @@ def test_resets_of_any_part_of_a_local_position_are_declared() -> None:
     # Counters that change in opposite directions at once are a reset, too.
     local["z_reset_counter"] = local["xy_reset_counter"][::-1].copy()
     assert len(declared_resets(poses_of_px4(columns_of(local), LOCAL_POSITION, 0))) == 3
+
+
+def test_names_of_attitudes() -> None:
+    assert attitude_name("vehicle_local_position") == "vehicle_attitude"
+    assert attitude_name("/fmu/out/vehicle_local_position_v1") == "/fmu/out/vehicle_attitude"
+    assert attitude_name("/pose") == "/pose"

@@ -81,3 +81,9 @@ def test_whole_numbers_in_equal_steps_count_the_rows_of_a_file_of_times(
     if counts:
         expected = [100_500_000_000 + int(number) * SECOND for number in numbers]
         assert found.stamps.tolist() == expected
+
+
+@pytest.mark.parametrize("number", ["-1", "1.5"])
+def test_frame_numbers_are_whole(tmp_path: Path, number: str) -> None:
+    with pytest.raises(InputError, match=r"row 2 has no frame number in column 1"):
+        read(tmp_path / "x.csv", "frame,x,y,z", "0,1,2,3", f"{number},2,3,4")
