@@ -1,4 +1,4 @@
-"""The correlation of rates of motion, its peak, and the verdict on it."""
+"""The correlation of rates of motion, and offsets of flights."""
 
 from __future__ import annotations
 
@@ -55,10 +55,10 @@ def test_masked_correlations_are_those_of_common_samples(
 def test_offsets_of_flights_are_found_by_both_rates() -> None:
     truth, estimate, _ = flown()
     for signal in ("angular rate", "speed"):
-        found = guess_offset_by(truth, estimate, 0.0, 5.0, signal)
-        assert found.signal == signal
-        assert found.offset_s == pytest.approx(FAULT.offset_s, abs=0.02)
-        assert found.peak > (0.99 if signal == "angular rate" else 0.5)
+        result = guess_offset_by(truth, estimate, 0.0, 5.0, signal)
+        assert result.signal == signal
+        assert result.offset_s == pytest.approx(FAULT.offset_s, abs=0.02)
+        assert result.peak > (0.99 if signal == "angular rate" else 0.5)
     assert guess_offset(truth, estimate).signal == "angular rate"
     bare = dataclasses.replace(truth, quaternions=None)
     assert guess_offset(bare, estimate).signal == "speed"

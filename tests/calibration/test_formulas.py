@@ -1,4 +1,4 @@
-"""Formulas of the calibration: increments, closed forms, weights and verdicts."""
+"""Formulas of the calibration: increments and closed forms."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from trajeval_ros.geometry import so3
 def test_true_parameters_leave_no_residual(oriented: bool) -> None:
     truth, estimate, unknowns = flown(oriented=oriented)
     increments = Increments(truth, estimate)
-    found = increments.linearise(unknowns)
-    assert found.residual.shape[1] == (6 if oriented else 3)
+    result = increments.linearise(unknowns)
+    assert result.residual.shape[1] == (6 if oriented else 3)
     # Linear interpolation over 2 ms leaves an eighth of 4e-6 s^2 times an acceleration.
-    np.testing.assert_allclose(found.residual, 0.0, atol=1e-5)
+    np.testing.assert_allclose(result.residual, 0.0, atol=1e-5)
     assert increments.horizon_s == 1.0
     # The last second has no pair; a quarter of the horizon is allowed.
     assert len(increments) == 401 - 15
@@ -67,11 +67,11 @@ def test_jacobians_of_increments_are_derivatives(oriented: bool) -> None:
     increments = Increments(truth, estimate, 60)
     assert len(increments) <= 60
     at = unknowns.moved(np.array([0.004, 1e-5, 0.1, -0.05, 0.2, 0.1, 0.3, -0.2, 0.1]))
-    found = increments.linearise(at)
-    middle_s = (increments._since + increments._till)[found.rows] / 2.0 - DURATION_S / 2.0
+    result = increments.linearise(at)
+    middle_s = (increments._since + increments._till)[result.rows] / 2.0 - DURATION_S / 2.0
     # A skew is an offset that grows from the middle of the run on.
     np.testing.assert_allclose(
-        found.jacobian[..., 1], found.jacobian[..., 0] * middle_s[:, None], rtol=1e-9
+        result.jacobian[..., 1], result.jacobian[..., 0] * middle_s[:, None], rtol=1e-9
     )
     for column in [0, *range(2, 9)]:
         step = np.zeros(9)
@@ -79,10 +79,10 @@ def test_jacobians_of_increments_are_derivatives(oriented: bool) -> None:
         size = 0.02 if column == 0 else 1e-6
         step[column] = size
         ahead, behind = (increments.linearise(at.moved(sign * step)) for sign in (1.0, -1.0))
-        both = np.intersect1d(np.intersect1d(ahead.rows, behind.rows), found.rows)
+        both = np.intersect1d(np.intersect1d(ahead.rows, behind.rows), result.rows)
         one, other = (item.residual[np.isin(item.rows, both)] for item in (ahead, behind))
         change = (one - other) / (2.0 * size)
-        jacobian = found.jacobian[np.isin(found.rows, both), :, column]
+        jacobian = result.jacobian[np.isin(result.rows, both), :, column]
         # By the rotation, r_R is linearised at a small residual.
         if oriented and column in range(2, 5):
             np.testing.assert_allclose(jacobian[:, :3], change[:, :3], atol=1e-5)
@@ -97,20 +97,20 @@ def test_either_side_has_the_same_jacobian(oriented: bool) -> None:
     fault = FAULT if oriented else dataclasses.replace(FAULT, lever_m=(0.0, 0.0, 0.0))
     truth, estimate, unknowns = flown(oriented=oriented, fault=fault)
     increments = Increments(truth, estimate)
-    found = increments.linearise(unknowns)
+    result = increments.linearise(unknowns)
     jacobian_with_swapped_sides, known = increments.jacobian_with_swapped_sides(
-        unknowns, found.rows
+        unknowns, result.rows
     )
     assert known.sum() > 300
     columns = [OFFSET, SKEW, TURN, LEVER, SCALE] if oriented else [OFFSET, SKEW, SCALE]
     for column in columns:
-        own, other = (
-            found.jacobian[known][..., column],
+        estimated, other = (
+            result.jacobian[known][..., column],
             jacobian_with_swapped_sides[known][..., column],
         )
-        size = np.abs(own).max()
+        size = np.abs(estimated).max()
         # The clock's derivatives are over +-20 and +-50 ms: an error of 1e-3.
-        np.testing.assert_allclose(other, own, atol=5e-3 * size)
+        np.testing.assert_allclose(other, estimated, atol=5e-3 * size)
 
 
 def test_pairs_do_not_cross_gaps() -> None:
@@ -131,8 +131,8 @@ def test_pairs_do_not_cross_gaps() -> None:
     assert ((first < 9.99) & (last > 10.01)).any()
     sparse = Increments(truth, estimate[::10])
     assert sparse.horizon_s == pytest.approx(1.5)
-    own = PoseInterpolator.of(estimate[::10], with_rotations=True, sparse=True)
-    assert (own.step_s, own.gap_s) == pytest.approx((0.5, 2.0))
+    estimated = PoseInterpolator.of(estimate[::10], with_rotations=True, sparse=True)
+    assert (estimated.step_s, estimated.gap_s) == pytest.approx((0.5, 2.0))
     dense = PoseInterpolator.of(estimate, with_rotations=False)
     assert (dense.step_s, dense.gap_s) == pytest.approx((0.05, 0.5))
     assert dense.quaternions is None
@@ -147,8 +147,8 @@ def test_closest_rotations_are_scipys(seed: int) -> None:
     targets = turn.apply(vectors) + 0.3 * noise
     weights = generator.uniform(0.1, 5.0, size=12)
     expected, _ = Rotation.align_vectors(targets, vectors, weights)
-    found = closest_rotation(targets, vectors, weights)
-    np.testing.assert_allclose(found, expected.as_matrix(), atol=1e-9)
+    result = closest_rotation(targets, vectors, weights)
+    np.testing.assert_allclose(result, expected.as_matrix(), atol=1e-9)
     equal, _ = Rotation.align_vectors(targets, vectors)
     np.testing.assert_allclose(closest_rotation(targets, vectors), equal.as_matrix(), atol=1e-9)
     # Mirrored vectors have a proper rotation, too.
@@ -172,8 +172,8 @@ def test_outliers_hardly_turn_a_robust_rotation() -> None:
     plain = turn.inv() * Rotation.from_matrix(closest_rotation(targets, vectors))
     assert apart.magnitude() < 0.05 * plain.magnitude()
     level = Rotation.from_rotvec([0.0, 0.0, 0.7])
-    found = robust_rotation(level.apply(vectors), vectors, about_z=True)
-    np.testing.assert_allclose(found, level.as_matrix(), atol=1e-9)
+    result = robust_rotation(level.apply(vectors), vectors, about_z=True)
+    np.testing.assert_allclose(result, level.as_matrix(), atol=1e-9)
 
 
 @given(seed=seeds)
@@ -183,8 +183,8 @@ def test_lever_arms_of_exact_motions(seed: int) -> None:
     turned = Rotation.from_rotvec(generator.normal(size=(20, 3))).as_matrix() - np.eye(3)
     steps, lever = generator.normal(size=(20, 3)), np.array([0.3, -0.2, 0.5])
     for scale, with_scale in ((1.0, False), (1.0, True), (2.5, True)):
-        found, size = lever_arm(
+        result, size = lever_arm(
             turned, steps, scale * steps + turned @ lever, with_scale=with_scale
         )
-        np.testing.assert_allclose(found, lever, atol=1e-9)
+        np.testing.assert_allclose(result, lever, atol=1e-9)
         assert size == pytest.approx(scale)

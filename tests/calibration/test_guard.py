@@ -59,9 +59,9 @@ def test_a_marker_that_flips_is_judged(axis: int, seed: int) -> None:
         late[:, None], (groundtruth.rotations * flip).as_quat(), groundtruth.quaternions
     )
     flipping = dataclasses.replace(groundtruth, quaternions=turned)
-    found = calibrate(flipping, flight.estimate, "yaw")
-    assert found.offset.reason
-    assert found.turn.reason
+    result = calibrate(flipping, flight.estimate, "yaw")
+    assert result.offset.reason
+    assert result.turn.reason
 
 
 def test_a_fit_without_free_directions_stays_at_its_start() -> None:
@@ -82,21 +82,21 @@ def test_a_fit_without_free_directions_stays_at_its_start() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
     truth, estimate = fly(axis, 60.0)
-    found = evaluate_calibrated(truth, mirrored(estimate, axis), YAW, AUTO)
-    assert found.calibration is not None
-    turn = found.calibration.turn
+    result = evaluate_calibrated(truth, mirrored(estimate, axis), YAW, AUTO)
+    assert result.calibration is not None
+    turn = result.calibration.turn
     assert turn.chance is not None
     assert turn.chance < 1e-6  # by all rows together it would be there
     assert turn.value is not None
     assert np.degrees(np.linalg.norm(turn.value)) > 170.0
     assert turn.status == "insignificant"
     assert turn.reason == significance.POSITIONS_WORSE
-    assert found.hand_eye is None
-    assert not found.offset_applied
-    assert found.after == found.before
+    assert result.hand_eye is None
+    assert not result.offset_applied
+    assert result.after == result.before
     (line,) = (
         calibration_line
-        for calibration_line in calibration_lines("", found)
+        for calibration_line in calibration_lines("", result)
         if "body rotation" in calibration_line
     )
     assert "not significant, not applied; it reduces the rotation error" in line
@@ -136,18 +136,18 @@ def test_chance_is_that_of_hotellings_test() -> None:
 
 def test_a_position_ate_that_grows_is_explained() -> None:
     truth, estimate = fly(1, 60.0, fault=Fault(offset_s=0.1))
-    found = evaluate_calibrated(truth, estimate, YAW, AUTO)
-    assert found.offset_applied
-    assert found.before is not None
-    smaller = dataclasses.replace(found.before, position_m=found.after.position_m / 1.04)
-    grown = dataclasses.replace(found, before=smaller, lever_applied=False)
+    result = evaluate_calibrated(truth, estimate, YAW, AUTO)
+    assert result.offset_applied
+    assert result.before is not None
+    smaller = dataclasses.replace(result.before, position_m=result.after.position_m / 1.04)
+    grown = dataclasses.replace(result, before=smaller, lever_applied=False)
     assert "the position ATE increases by 4 %" in calibration_lines("", grown)[-1]
     assert "with the lever arm" not in calibration_lines("", grown)[-1]
-    anyway = dataclasses.replace(found.after, position_m=0.9 * smaller.position_m)
+    anyway = dataclasses.replace(result.after, position_m=0.9 * smaller.position_m)
     better = dataclasses.replace(grown, if_applied=anyway)
     assert f"it is {anyway.position_m:.4g} m" in calibration_lines("", better)[-1]
     for unchanged in (
-        dataclasses.replace(grown, before=found.after),
+        dataclasses.replace(grown, before=result.after),
         dataclasses.replace(grown, offset_applied=False, rotation_applied=False),
     ):
         assert "grows" not in "".join(calibration_lines("", unchanged))

@@ -1,4 +1,4 @@
-"""What a calibration makes of a fit: clocks apart, systematic errors, parts, warnings; the fit."""
+"""What a calibration makes of a fit: exact flights, free parameters, warnings."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ def long() -> tuple[Trajectory, Trajectory]:
 def test_a_smooth_flight_has_its_exact_calibration() -> None:
     truth, estimate, unknowns = flown(duration_s=60.0)
     estimate = estimate[::2]
-    found = calibrate(truth, estimate, Gauge.SIM3, systematic=NONE, with_skew=True)
-    assert found.offset.value is not None
-    assert found.offset.value[0] == pytest.approx(FAULT.offset_s, abs=1e-5)
-    assert found.skew is not None
-    assert found.skew.value is not None
-    assert found.skew.value[0] == pytest.approx(FAULT.skew, abs=3e-6)
-    assert found.turn.value is not None
-    turned = Rotation.from_rotvec(found.turn.value).as_matrix()
+    result = calibrate(truth, estimate, Gauge.SIM3, systematic=NONE, with_skew=True)
+    assert result.offset.value is not None
+    assert result.offset.value[0] == pytest.approx(FAULT.offset_s, abs=1e-5)
+    assert result.skew is not None
+    assert result.skew.value is not None
+    assert result.skew.value[0] == pytest.approx(FAULT.skew, abs=3e-6)
+    assert result.turn.value is not None
+    turned = Rotation.from_rotvec(result.turn.value).as_matrix()
     np.testing.assert_allclose(turned, unknowns.turn, atol=1e-5)
-    np.testing.assert_allclose(found.lever.value, unknowns.lever_m, atol=1e-5)
-    assert found.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=1e-5)
-    assert found.fitted == 9
-    assert found.horizon_s == 1.0
-    assert found.pairs == 601 - 8
+    np.testing.assert_allclose(result.lever.value, unknowns.lever_m, atol=1e-5)
+    assert result.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=1e-5)
+    assert result.fitted == 9
+    assert result.horizon_s == 1.0
+    assert result.pairs == 601 - 8
     rigid = calibrate(truth, estimate, Gauge.SE3, systematic=NONE)
     assert (rigid.scale, rigid.skew) == (1.0, None)
     assert rigid.fitted == 7
@@ -53,9 +53,9 @@ def test_a_skew_of_less_than_two_minutes_is_warned_of(
     long: tuple[Trajectory, Trajectory],
 ) -> None:
     truth, estimate = long
-    found = calibrate(truth, estimate, with_skew=True, systematic=NONE)
-    assert [remark.code for remark in found.remarks] == ["short_for_clock_skew"]
-    assert "from 69 s is unreliable; use at least 120 s" in found.remarks[0].text
+    result = calibrate(truth, estimate, with_skew=True, systematic=NONE)
+    assert [remark.code for remark in result.remarks] == ["short_for_clock_skew"]
+    assert "from 69 s is unreliable; use at least 120 s" in result.remarks[0].text
 
 
 def test_a_fit_stops_at_the_least_squares_solution() -> None:
@@ -68,15 +68,15 @@ def test_a_fit_stops_at_the_least_squares_solution() -> None:
     )
     increments = Increments(truth, estimate)
     basis = np.eye(9)
-    found = fit(increments, unknowns.moved(np.full(9, 1e-3)), basis)
-    assert found is not None
-    assert found.settled
-    assert found.free == 9
-    assert found.blocks == 12
-    rows = np.repeat(found.weights, 3, axis=1)
-    weighted = found.linearised.jacobian * rows[..., None]
-    hessian = np.einsum("nap,naq->pq", weighted, found.linearised.jacobian)
-    gradient = np.einsum("nap,na->p", weighted, found.linearised.residual)
+    result = fit(increments, unknowns.moved(np.full(9, 1e-3)), basis)
+    assert result is not None
+    assert result.settled
+    assert result.free == 9
+    assert result.blocks == 12
+    rows = np.repeat(result.weights, 3, axis=1)
+    weighted = result.linearised.jacobian * rows[..., None]
+    hessian = np.einsum("nap,naq->pq", weighted, result.linearised.jacobian)
+    gradient = np.einsum("nap,na->p", weighted, result.linearised.residual)
     step = np.linalg.solve(hessian, gradient)
     assert (np.abs(step) * np.sqrt(np.diag(hessian)) < 1e-3).all()
 
@@ -88,15 +88,15 @@ def test_a_fit_of_few_directions_moves_along_them_alone(
     increments = Increments(truth, estimate)
     begin = increments.start(0.05, with_scale=False, about_z=False)
     axis = np.array([[0.6, 0.0, 0.8]])
-    found = fit(increments, begin, basis_of({"offset": np.eye(1), "lever": axis}))
-    assert found is not None
-    moved = found.unknowns.lever_m - begin.lever_m
+    result = fit(increments, begin, basis_of({"offset": np.eye(1), "lever": axis}))
+    assert result is not None
+    moved = result.unknowns.lever_m - begin.lever_m
     np.testing.assert_allclose(moved, axis[0] * (axis[0] @ moved), atol=1e-12)
-    np.testing.assert_array_equal(found.unknowns.turn, begin.turn)
-    assert found.unknowns.skew == 0.0
+    np.testing.assert_array_equal(result.unknowns.turn, begin.turn)
+    assert result.unknowns.skew == 0.0
     fixed = [1, 2, 3, 4, 6, 8]
-    assert not found.covariance[fixed].any()
-    seen = observability(increments, found)
+    assert not result.covariance[fixed].any()
+    seen = observability(increments, result)
     assert set(seen) == {"offset", "skew", "turn", "lever"}
 
 

@@ -44,20 +44,20 @@ def runs(name: str) -> list[tuple[Stamps, Floats, Floats]]:
     if not SIMULATION.is_dir():
         pytest.skip("no recordings of real estimators")
     file = np.load(SIMULATION / f"{name}.npz")
-    found = []
+    result = []
     for states, upper in zip(file["estimate"], file["covariance"].astype(float), strict=True):
         full = np.zeros((len(upper), 6, 6))
         full[:, UPPER[0], UPPER[1]] = upper
         full += np.swapaxes(np.triu(full, 1), 1, 2)
-        found.append((file["stamps_ns"], states[:, 3:7], full))
-    return found
+        result.append((file["stamps_ns"], states[:, 3:7], full))
+    return result
 
 
 @pytest.mark.parametrize("cameras", ["mono", "stereo"])
 def test_all_filters_without_first_estimates_are_named(cameras: str) -> None:
-    found = [remark_of(stamps, full[:, 3:, 3:]) for stamps, _, full in runs(f"{cameras}_fej_off")]
-    assert len(found) == 8
-    for item in found:
+    result = [remark_of(stamps, full[:, 3:, 3:]) for stamps, _, full in runs(f"{cameras}_fej_off")]
+    assert len(result) == 8
+    for item in result:
         assert item is not None
         assert item.text.startswith("the standard deviation of yaw falls from 1.13 to 0.0")
 
@@ -65,9 +65,9 @@ def test_all_filters_without_first_estimates_are_named(cameras: str) -> None:
 @pytest.mark.parametrize("cameras", ["mono", "stereo"])
 def test_no_filter_with_first_estimates_is_named(cameras: str) -> None:
     # One of them diverges, and its covariances fall suddenly.
-    found = list(runs(f"{cameras}_fej_on"))
-    assert len(found) == 8
-    for stamps, quaternions, full in found:
+    result = list(runs(f"{cameras}_fej_on"))
+    assert len(result) == 8
+    for stamps, quaternions, full in result:
         assert remark_of(stamps, full[:, 3:, 3:]) is None
         # About the body's axes, whose z axis is not vertical, as some estimators publish them.
         to_body = np.swapaxes(lie.to_matrix(quaternions), 1, 2)

@@ -57,14 +57,14 @@ def test_interpolation_is_the_conditional_gaussian(order: int, step: float, shar
     since = share * step
     one = [np.array([item]) for item in (since, step - since, step)]
     before, after, whole = (white_noise.transition(order, item)[0] for item in one)
-    own, rest, total = (white_noise.covariance(order, item)[0] for item in one)
-    np.testing.assert_allclose(after @ own @ after.T + rest, total, rtol=1e-10, atol=1e-12)
+    estimated, rest, total = (white_noise.covariance(order, item)[0] for item in one)
+    np.testing.assert_allclose(after @ estimated @ after.T + rest, total, rtol=1e-10, atol=1e-12)
     # The joint covariance of the states at `since` and `step`, given the first one.
-    gain = own @ after.T @ np.linalg.inv(total)
+    gain = estimated @ after.T @ np.linalg.inv(total)
     by_first, by_second, spread = white_noise.interpolation(order, one[2], one[0])
     np.testing.assert_allclose(by_second[0], gain[0], rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(by_first[0], (before - gain @ whole)[0], rtol=1e-7, atol=1e-9)
-    expected = (own - gain @ after @ own)[0, 0]
+    expected = (estimated - gain @ after @ estimated)[0, 0]
     assert spread[0] == pytest.approx(expected, rel=1e-6, abs=1e-12 * total[0, 0])
 
 
@@ -74,8 +74,8 @@ def test_axes_are_kronecker_products(order: int, dimension: int) -> None:
     generator = np.random.default_rng(order)
     matrices = generator.normal(size=(4, order, order))
     axes = generator.uniform(0.5, 2.0, size=dimension)
-    found = white_noise.spread_over_axes(matrices, axes)
-    for matrix, product in zip(matrices, found, strict=True):
+    result = white_noise.spread_over_axes(matrices, axes)
+    for matrix, product in zip(matrices, result, strict=True):
         np.testing.assert_array_equal(product, np.kron(matrix, np.diag(axes)))
 
 
@@ -96,8 +96,8 @@ def test_kernels_are_those_of_bessel_functions(kernel: Kernel, order: float) -> 
         np.testing.assert_allclose(kernel.between(sign * lags, length), expected, rtol=1e-12)
     assert kernel.between(np.zeros(1), length)[0] == 1.0
     longer, shorter = (kernel.between(lags, length * math.exp(step)) for step in (1e-5, -1e-5))
-    found = kernel.by_log_length(-lags, length)
-    np.testing.assert_allclose(found, (longer - shorter) / 2e-5, rtol=1e-7, atol=1e-9)
+    result = kernel.by_log_length(-lags, length)
+    np.testing.assert_allclose(result, (longer - shorter) / 2e-5, rtol=1e-7, atol=1e-9)
 
 
 @given(seed=seeds, axes=st.integers(1, 3))
@@ -127,10 +127,10 @@ def test_hyperparameters_of_many_segments_are_a_maximum() -> None:
     covariance = 0.6**2 * MATERN_32.between(times[0, :, None] - times[0], 0.4)
     root = np.linalg.cholesky(covariance + noise**2 * np.eye(8))
     targets = root @ generator.normal(size=(segments, 8, 3))
-    _, found = most_likely((MATERN_32,), times, targets, noise, 0.1)
-    assert found.noise == noise
+    _, result = most_likely((MATERN_32,), times, targets, noise, 0.1)
+    assert result.noise == noise
     some = np.unique(np.linspace(0, 149, 100).astype(int))
-    at = np.log([found.sigma, found.length, found.noise])
+    at = np.log([result.sigma, result.length, result.noise])
     lags = times[some, :, None] - times[some, None, :]
     best, gradient = negative_log_likelihood(MATERN_32, lags, targets[some], at)
     # The optimiser stops at a relative change of 2e-9 of the value.
@@ -258,11 +258,11 @@ def test_a_carried_state_is_a_derivative(manifold: Manifold, order: int, since_s
         powers = [since_s, since_s**2 / 2.0][: order - 1]
         return manifold.plus(state, np.einsum("k,kd->d", powers, rates)[None])
 
-    found = process.carried(knots, np.array([since_s]))[0]
+    result = process.carried(knots, np.array([since_s]))[0]
     for column, step in enumerate(1e-5 * np.eye(3 * order)):
         change = manifold.between(at(-step), at(step))[0] / 2e-5
         # To second order in the step along its own path, symmetric differences are exact.
-        np.testing.assert_allclose(found[:, column], change, atol=1e-7)
+        np.testing.assert_allclose(result[:, column], change, atol=1e-7)
 
 
 def test_differences_of_a_parabola_are_its_velocity() -> None:

@@ -91,12 +91,12 @@ def test_a_blend_has_the_moments_of_the_mixture() -> None:
         for place, spread in zip(places, spreads, strict=True)
     )
     weight = 0.3
-    found = blended(first, second, np.array([weight]))
+    result = blended(first, second, np.array([weight]))
     apart = np.array([2.0, -1.0, 4.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(found.poses[0, :3, 3], weight * apart[:3])
+    np.testing.assert_allclose(result.poses[0, :3, 3], weight * apart[:3])
     expected = (1.0 - weight) * first.covariances[0] + weight * second.covariances[0]
     expected += weight * (1.0 - weight) * np.outer(apart, apart)
-    np.testing.assert_allclose(found.covariances[0], expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(result.covariances[0], expected, rtol=1e-12, atol=1e-12)
 
 
 @given(seed=seeds)
@@ -113,7 +113,7 @@ def test_a_segment_is_a_conditioned_gaussian(seed: int) -> None:
     ]
     gp = PiecewiseGP.conditioned(GPSegments.of(samples, 6), chosen)
     asked = np.array([0.5 * (samples.times[1] + samples.times[2])])
-    found = gp.in_segment(np.zeros(1, dtype=np.int64), asked)
+    result = gp.in_segment(np.zeros(1, dtype=np.int64), asked)
     means, variances = np.zeros((1, 6)), np.zeros((1, 6))
     for block, (kernel, given_) in enumerate(chosen):
         columns = slice(3 * block, 3 * block + 3)
@@ -125,8 +125,8 @@ def test_a_segment_is_a_conditioned_gaussian(seed: int) -> None:
         means[0, columns] = gain @ gp.segments.coordinates[0, :, columns]
         variances[0, columns] = given_.sigma**2 - gain @ cross
     poses, covariances = gp.segments.poses_at(np.zeros(1, dtype=np.int64), means, variances)
-    np.testing.assert_allclose(found.poses, poses, atol=1e-10)
-    np.testing.assert_allclose(found.covariances, covariances, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(result.poses, poses, atol=1e-10)
+    np.testing.assert_allclose(result.covariances, covariances, rtol=1e-9, atol=1e-12)
     assert gp.at(asked).covariances == pytest.approx(covariances, rel=1e-9, abs=1e-12)
 
 
@@ -161,9 +161,9 @@ def test_gaps_have_a_coarse_process_with_a_smooth_transition() -> None:
     assert not fitted.short.any()
     start, end = seconds[399], seconds[400]
     asked = np.array([start, start + 0.5 * fitted.ramp_s, 0.5 * (start + end), end - 0.02])
-    found = fitted._weight(np.full(4, 399), asked, np.ones(4, dtype=bool))
+    result = fitted._weight(np.full(4, 399), asked, np.ones(4, dtype=bool))
     expected = smooth_step(np.array([0.0, 0.5, 1.0, 0.02 / fitted.ramp_s]))
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    np.testing.assert_allclose(result, expected, atol=1e-9)
     middle = fitted.at(asked[2:3])
     alone = fitted.coarse.at(asked[2:3])
     np.testing.assert_allclose(middle.poses, alone.poses, atol=1e-9)

@@ -70,12 +70,12 @@ def axes(pair: str) -> tuple[str, str]:
 def commands_of(pair: str) -> dict[Command, list[tuple[Definition, float]]]:
     """Return all definitions and their values by their command, whatever the formula."""
     places, numbers = values(pair)
-    found = defaultdict(list)
+    actual = defaultdict(list)
     for definition, place in places.items():
         command = command_of(definition, axes(pair))
         if isinstance(command, Command):
-            found[command._replace(formula="")].append((definition, numbers[place]))
-    return found
+            actual[command._replace(formula="")].append((definition, numbers[place]))
+    return actual
 
 
 PAIRS = ["drone_loop", "mono_scale", "handheld_gaps", "car_kitti"]

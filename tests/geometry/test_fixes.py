@@ -34,9 +34,9 @@ def test_fixes_have_standard_deviations_if_known() -> None:
     )
     np.testing.assert_allclose(correlated.sigma_level_m, np.sqrt(3.0))
     np.testing.assert_allclose(correlated.sigma_up_m, 3.0)
-    said = quality_of(some)
-    assert "1 of status 0, 1 of status 1, 1 of status 2; standard deviation of 2 of them" in said
-    assert "2 to 3 m horizontal, 5 to 5 m vertical, covariance diagonal and known" in said
+    text = quality_of(some)
+    assert "1 of status 0, 1 of status 1, 1 of status 2; standard deviation of 2 of them" in text
+    assert "2 to 3 m horizontal, 5 to 5 m vertical, covariance diagonal and known" in text
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Limits and small rules of trajectories, axes and stamps, in cases worked out by hand."""
+"""Lengths, axes and stamps of trajectories, in cases worked out by hand."""
 
 from __future__ import annotations
 
@@ -62,21 +62,21 @@ def test_lengths_and_angles_along_a_path() -> None:
 def test_stamps_are_bracketed_by_states() -> None:
     times = np.array([0, 10, 20, 50])
     asked = np.array([-1, 0, 4, 10, 25, 50, 51])
-    found = bracket_stamps(times, asked, 10e-9)
-    assert found.start.tolist() == [0, 0, 0, 1, 2, 3, 2]
-    assert found.end.tolist() == [0, 0, 1, 1, 3, 3, 3]
-    np.testing.assert_allclose(found.fraction, [0, 0, 0.4, 0, 1 / 6, 0, 0])
-    assert found.early.tolist() == [True, *[False] * 6]
-    assert found.late.tolist() == [*[False] * 6, True]
+    result = bracket_stamps(times, asked, 10e-9)
+    assert result.start.tolist() == [0, 0, 0, 1, 2, 3, 2]
+    assert result.end.tolist() == [0, 0, 1, 1, 3, 3, 3]
+    np.testing.assert_allclose(result.fraction, [0, 0, 0.4, 0, 1 / 6, 0, 0])
+    assert result.early.tolist() == [True, *[False] * 6]
+    assert result.late.tolist() == [*[False] * 6, True]
     # The step of 10 ns is no gap, the one of 30 ns is.
-    assert found.gap.tolist() == [False, False, False, False, True, False, False]
-    assert found.usable.tolist() == [False, True, True, True, False, True, False]
-    assert found.dropped("estimate") == {
+    assert result.gap.tolist() == [False, False, False, False, True, False, False]
+    assert result.usable.tolist() == [False, True, True, True, False, True, False]
+    assert result.dropped("estimate") == {
         "before_estimate": 1, "after_estimate": 1, "in_estimate_gap": 1
     }  # fmt: skip
     assert bracket_stamps(times, asked, 30e-9).usable.tolist()[4]
     assert not bracket_stamps(times, asked, 29e-9).usable.tolist()[4]
-    assert found.is_between
+    assert result.is_between
     assert not bracket_stamps(times, times, 1.0).is_between
     assert not bracket_stamps(times, np.array([-1, 25]), 10e-9).is_between
 
@@ -91,8 +91,8 @@ def test_columns_between_times() -> None:
     expected = [[0, 1], [0, 1], [0.5, 0.75], [2, 0], [4, 2], [6, 4], [6, 4]]
     np.testing.assert_allclose(columns_at(times, columns, at), expected)
     turns = lie.from_rotation_vector(np.outer([0.0, 1.0, 2.0], [0.0, 0.0, 1.0]))
-    found = lie.rotation_vector(slerp_at(times, turns, at))[:, 2]
-    np.testing.assert_allclose(found, [0, 0, 0.25, 1, 1.5, 2, 2], atol=1e-12)
+    result = lie.rotation_vector(slerp_at(times, turns, at))[:, 2]
+    np.testing.assert_allclose(result, [0, 0, 0.25, 1, 1.5, 2, 2], atol=1e-12)
 
 
 @pytest.mark.parametrize("name", UP_AXES)
@@ -100,28 +100,28 @@ def test_upright_states_are_turned_as_a_whole(name: str) -> None:
     truth = make_groundtruth(2, 20)
     root = np.random.default_rng(0).normal(size=(20, 6, 6))
     truth = dataclasses.replace(truth, up=UpAxis(name), covariances=root @ np.swapaxes(root, 1, 2))
-    found, turn = upright(truth), UpAxis(name).matrix
-    np.testing.assert_allclose(found.positions, truth.positions @ turn.T)
-    assert found.velocities is not None
+    result, turn = upright(truth), UpAxis(name).matrix
+    np.testing.assert_allclose(result.positions, truth.positions @ turn.T)
+    assert result.velocities is not None
     assert truth.velocities is not None
-    np.testing.assert_allclose(found.velocities, truth.velocities @ turn.T)
-    assert found.rotations is not None
+    np.testing.assert_allclose(result.velocities, truth.velocities @ turn.T)
+    assert result.rotations is not None
     assert truth.rotations is not None
     np.testing.assert_allclose(
-        found.rotations.as_matrix(), turn @ truth.rotations.as_matrix(), atol=1e-14
+        result.rotations.as_matrix(), turn @ truth.rotations.as_matrix(), atol=1e-14
     )
     both = np.kron(np.eye(2), turn)
-    assert found.covariances is not None
+    assert result.covariances is not None
     assert truth.covariances is not None
-    np.testing.assert_allclose(found.covariances, both @ truth.covariances @ both.T, atol=1e-12)
-    assert found.up.name == "z"
-    assert len(found.reading.remarks) == (name != "z")
+    np.testing.assert_allclose(result.covariances, both @ truth.covariances @ both.T, atol=1e-12)
+    assert result.up.name == "z"
+    assert len(result.reading.remarks) == (name != "z")
     # An alignment of converted trajectories, as one of the original ones.
     similarity = Similarity(Rotation.random(random_state=3).as_matrix(), np.arange(3.0), 2.0)
     back = between_own_axes(similarity, UpAxis("-y"), UpAxis(name))
     np.testing.assert_allclose(
         UpAxis("-y").matrix @ back.positions(truth.positions).T,
-        similarity.positions(found.positions).T,
+        similarity.positions(result.positions).T,
         atol=1e-12,
     )
 
@@ -130,9 +130,9 @@ def test_upright_states_are_turned_as_a_whole(name: str) -> None:
 def test_mirrored_rotations_are_conjugated_matrices(axes: str) -> None:
     matrix, _ = Conventions(axes=axes)._permutation()
     quaternions = Rotation.random(6, random_state=2).as_quat()
-    found = Rotation.from_quat(mirrored_quaternions(quaternions, matrix)).as_matrix()
+    result = Rotation.from_quat(mirrored_quaternions(quaternions, matrix)).as_matrix()
     expected = matrix @ Rotation.from_quat(quaternions).as_matrix() @ matrix.T
-    np.testing.assert_allclose(found, expected, atol=1e-14)
+    np.testing.assert_allclose(result, expected, atol=1e-14)
 
 
 def test_spans_of_time_include_their_ends() -> None:

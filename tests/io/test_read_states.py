@@ -38,17 +38,17 @@ def test_columns_without_information_are_left_out() -> None:
         (np.full((6, 3), np.nan), False),
         (zeros + [[0.0, 1.0, 0.0]], True),
     ):
-        found = made(columns.replaced(velocities=velocities))
-        assert (found.velocities is not None) == is_kept
+        result = made(columns.replaced(velocities=velocities))
+        assert (result.velocities is not None) == is_kept
     covariances = np.zeros((6, 6, 6))
     assert made(columns.replaced(covariances=covariances)).covariances is None
     assert made(columns.replaced(covariances=covariances * np.nan)).covariances is None
     covariances[4, 2, 2] = 1.0
     assert made(columns.replaced(covariances=covariances)).covariances is not None
     identities = np.tile([0.0, 0.0, 0.0, 1.0], (6, 1))
-    found = made(columns.replaced(quaternions=identities, velocities=zeros + 1.0))
-    assert found.quaternions is found.velocities is None
-    assert found.reading.has_identity_rotations
+    result = made(columns.replaced(quaternions=identities, velocities=zeros + 1.0))
+    assert result.quaternions is result.velocities is None
+    assert result.reading.has_identity_rotations
     points = made(columns.replaced(quaternions=None))
     assert points.quaternions is points.velocities is None
     assert not points.reading.has_identity_rotations
@@ -58,14 +58,14 @@ def test_an_isolated_timestamp_is_dropped_and_told() -> None:
     columns = later(poses(12))
     columns = columns.replaced(stamps=columns.stamps.copy() // 10)
     columns.stamps[4] += 10**6 * SECOND
-    found = made(columns)
-    assert len(found) == 11
-    assert found.reading.dropped == {"lone_stamp": 1}
-    assert [remark.code for remark in found.reading.remarks] == ["lone_stamp"]
+    result = made(columns)
+    assert len(result) == 11
+    assert result.reading.dropped == {"lone_stamp": 1}
+    assert [remark.code for remark in result.reading.remarks] == ["lone_stamp"]
 
 
 @pytest.mark.parametrize(
-    ("changes", "why", "said"),
+    ("changes", "why", "text"),
     [
         ({}, "", "run:/a has no poses"),
         ({}, "x is damaged", "run:/a has no poses: x is damaged"),
@@ -73,8 +73,8 @@ def test_an_isolated_timestamp_is_dropped_and_told() -> None:
         ({"dropped": {"zero_stamp": 2}}, "x", "has no poses: 2 with timestamp zero"),
     ],
 )
-def test_a_topic_without_poses(changes: dict[str, Any], why: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_a_topic_without_poses(changes: dict[str, Any], why: str, text: str) -> None:
+    with pytest.raises(InputError, match=text):
         made(poses().rows_of(np.zeros(6, dtype=bool)).replaced(**changes), why=why)
 
 
@@ -94,7 +94,7 @@ def fixes(names: list[str], count: int = 6) -> PoseColumns:
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "text"),
     [
         (["gps"], None),
         (["gps", "gnss"], "frame_id changes from gps to gnss"),
@@ -102,16 +102,16 @@ def fixes(names: list[str], count: int = 6) -> PoseColumns:
         (["a", "b", "c"], ""),
     ],
 )
-def test_fixes_are_of_one_receiver(names: list[str], said: str | None) -> None:
-    if said == "":
+def test_fixes_are_of_one_receiver(names: list[str], text: str | None) -> None:
+    if text == "":
         with pytest.raises(InputError, match="has fixes of several receivers"):
             made(fixes(names))
         return
-    found = made(fixes(names))
-    assert found.child_frame == names[0]
-    assert found.reading.fixes is not None
-    told = [remark.text for remark in found.reading.remarks if remark.code == "frame_changed"]
-    assert told == ([] if said is None else [said])
+    result = made(fixes(names))
+    assert result.child_frame == names[0]
+    assert result.reading.fixes is not None
+    told = [remark.text for remark in result.reading.remarks if remark.code == "frame_changed"]
+    assert told == ([] if text is None else [text])
 
 
 def line(stamps_s: list[float], places: list[float], **reading: Any) -> Trajectory:
@@ -123,15 +123,15 @@ def line(stamps_s: list[float], places: list[float], **reading: Any) -> Trajecto
 
 def test_key_figures_of_a_trajectory() -> None:
     assert LONG_GAP_S == 0.5
-    found = summarize("x", line([10.0, 10.1, 10.2, 10.7, 11.3], [0.0, 0.1, 0.4, 0.5, 1.0]))
-    assert (found.poses, found.gaps) == (5, 1)
-    assert (found.first_ns, found.last_ns) == (10 * SECOND, 11_300_000_000)
-    assert found.rate_hz == pytest.approx(1.0 / 0.3)
-    assert found.path_length_m == pytest.approx(1.0)
-    assert found.mean_speed_mps == pytest.approx(1.0 / 1.3)
-    assert found.largest_speed_mps == pytest.approx(3.0)
-    assert found.longest_gap_s == pytest.approx(0.6)
-    assert (found.holds, found.remarks, found.could_be) == ((), (), "estimate or groundtruth")
+    result = summarize("x", line([10.0, 10.1, 10.2, 10.7, 11.3], [0.0, 0.1, 0.4, 0.5, 1.0]))
+    assert (result.poses, result.gaps) == (5, 1)
+    assert (result.first_ns, result.last_ns) == (10 * SECOND, 11_300_000_000)
+    assert result.rate_hz == pytest.approx(1.0 / 0.3)
+    assert result.path_length_m == pytest.approx(1.0)
+    assert result.mean_speed_mps == pytest.approx(1.0 / 1.3)
+    assert result.largest_speed_mps == pytest.approx(3.0)
+    assert result.longest_gap_s == pytest.approx(0.6)
+    assert (result.holds, result.remarks, result.could_be) == ((), (), "estimate or groundtruth")
 
 
 def test_what_is_neither_table_nor_array_is_refused() -> None:

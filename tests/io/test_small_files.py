@@ -1,4 +1,4 @@
-"""Small files, names and checks of readers: what is written is read, and limits are exact."""
+"""Small files, names and checks of readers: what is written is read."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def test_the_largest_deviation_of_a_length_is_told() -> None:
 
 def test_rotations_that_are_all_the_identity_are_none() -> None:
     identities = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
-    found, [remark] = check_rotations(identities)
-    assert (found, remark.code) == (None, "identity_rotations")
+    result, [remark] = check_rotations(identities)
+    assert (result, remark.code) == (None, "identity_rotations")
     assert remark.text.startswith("all rotations are the identity")
     _, [remark] = check_rotations(0.0 * identities)
     assert remark.text.startswith("all rotations have zero quaternions")
@@ -75,10 +75,10 @@ def test_a_written_transform_is_read(
     pose = HandEye(pose.rotation_xyzw, pose.lever_m, "base", "marker")
     path = tmp_path_factory.getbasetemp() / "pose.yaml"
     path.write_text(json.dumps(hand_eye_json(pose)))
-    found = read_hand_eye(path)
-    np.testing.assert_array_equal(found.lever_m, lever)
-    np.testing.assert_allclose(found.rotation_xyzw, pose.rotation_xyzw, rtol=1e-15)
-    assert (found.body, found.marker) == ("base", "marker")
+    result = read_hand_eye(path)
+    np.testing.assert_array_equal(result.lever_m, lever)
+    np.testing.assert_allclose(result.rotation_xyzw, pose.rotation_xyzw, rtol=1e-15)
+    assert (result.body, result.marker) == ("base", "marker")
     plain = read_similarity(path)
     path.write_text(json.dumps({**hand_eye_json(pose), "scale": scale}))
     scaled = read_similarity(path)
@@ -101,10 +101,10 @@ def transform(**changes: Any) -> dict[str, Any]:
 
 
 def test_a_transform_without_names_or_parts() -> None:
-    found = hand_eye_of({**transform(), "header": {"stamp": {}}}, "t")
-    assert (found.body, found.marker) == ("", "")
-    np.testing.assert_array_equal(found.lever_m, [1.0, 2.5, 3.0])
-    np.testing.assert_allclose(found.rotation_xyzw, [0.0, 0.0, 0.6, 0.8], rtol=1e-15)
+    result = hand_eye_of({**transform(), "header": {"stamp": {}}}, "t")
+    assert (result.body, result.marker) == ("", "")
+    np.testing.assert_array_equal(result.lever_m, [1.0, 2.5, 3.0])
+    np.testing.assert_allclose(result.rotation_xyzw, [0.0, 0.0, 0.6, 0.8], rtol=1e-15)
     for wrong in (
         {"header": 3},
         {"transform": None},
@@ -129,16 +129,16 @@ def test_integers_of_yaml_have_64_bits(tmp_path: Path, number: int, *, refused: 
 
 def test_yaml_is_the_first_mapping(tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
-    for text, found in (
+    for text, result in (
         ("a: 0.20\n---\nb: 1", {"a": 0.2}),
         ("%YAML:1.0\n---\na: 2", {"a": 2}),
         ("a: no", {"a": "no"}),
     ):
         path.write_text(text)
-        assert read_mapping(path, "thing") == found
+        assert read_mapping(path, "thing") == result
     path.write_text("a: 0.20")
     assert read_mapping(path, "thing", as_text=True) == {"a": "0.20"}
-    for text, said in (
+    for text, message in (
         ("- a", "has no thing"),
         ("1: a", "has no thing"),
         ("", "has no thing"),
@@ -146,7 +146,7 @@ def test_yaml_is_the_first_mapping(tmp_path: Path) -> None:
         ("a: {ours: vio/{sequence}.txt}", "write patterns with braces in quotes"),
     ):
         path.write_text(text)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             read_mapping(path, "thing")
     path.write_text('a: {ours: "vio", x: [}')
     with pytest.raises(InputError) as raised:
@@ -218,9 +218,9 @@ def test_written_arrays_are_read(tmp_path: Path, *, compressed: bool) -> None:
     rng = np.random.default_rng(0)
     arrays = {"a": rng.normal(size=(3, 4)), "b": np.arange(5), "word": "left", "none": np.empty(0)}
     write_arrays(path, arrays, compressed=compressed)
-    found = read_arrays(path, ("a", "word", "none", "missing"))
-    assert set(found) == {"a", "word", "none"}
-    for name, array in found.items():
+    result = read_arrays(path, ("a", "word", "none", "missing"))
+    assert set(result) == {"a", "word", "none"}
+    for name, array in result.items():
         np.testing.assert_array_equal(array, arrays[name])
 
 

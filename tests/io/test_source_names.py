@@ -1,4 +1,4 @@
-"""Searches for sources, their names, and what a SOURCE may be: limits are exact."""
+"""Searches for sources, their names, and what a SOURCE may be."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ TUM = "".join(f"{row}.0 {row} 0 0 0 0 0 1\n" for row in range(3))
 def test_a_search_goes_four_levels_deep(tmp_path: Path) -> None:
     for depth in range(6):
         (folders(tmp_path, depth) / "run.txt").write_text(TUM)
-    found = find_sources(tmp_path)
-    levels = [len(source.path.relative_to(tmp_path).parts) - 1 for source in found.sources]
+    result = find_sources(tmp_path)
+    levels = [len(source.path.relative_to(tmp_path).parts) - 1 for source in result.sources]
     assert sorted(levels) == [0, 1, 2, 3, 4]
-    assert found.left_out == ("1 folder more than 4 levels deep",)
+    assert result.left_out == ("1 folder more than 4 levels deep",)
     (folders(tmp_path, 4) / "other").mkdir()
     assert find_sources(tmp_path).left_out == ("2 folders more than 4 levels deep",)
 
@@ -52,11 +52,11 @@ def test_a_search_goes_four_levels_deep(tmp_path: Path) -> None:
 def test_kinds_of_files(tmp_path: Path, name: str, content: str, kind: str | None) -> None:
     path = tmp_path / name
     path.write_text(content)
-    found = find_sources(tmp_path)
-    assert [source.kind for source in found.sources] == ([] if kind is None else [kind])
-    assert found.others == (kind is None)
+    result = find_sources(tmp_path)
+    assert [source.kind for source in result.sources] == ([] if kind is None else [kind])
+    assert result.others == (kind is None)
     if kind not in (None, "TUM"):
-        assert found.sources[0].problem
+        assert result.sources[0].problem
 
 
 @pytest.mark.parametrize(

@@ -151,9 +151,9 @@ def test_second_derivatives_are_those_of_the_density(gauge: Gauge) -> None:
     one = Residuals(belief, estimate, gauge)
     mode = find_mode(one)
     np.testing.assert_allclose(mode.slope.gradient, 0.0, atol=1e-4)
-    found = marginal.full_information(one, mode)
-    size = len(found)
-    steps = 0.02 / np.sqrt(np.diag(found))
+    result = marginal.full_information(one, mode)
+    size = len(result)
+    steps = 0.02 / np.sqrt(np.diag(result))
     for row in range(size):
         for column in range(row + 1):
             first, second = np.zeros((2, size))
@@ -162,17 +162,17 @@ def test_second_derivatives_are_those_of_the_density(gauge: Gauge) -> None:
             values = one.log_density(one.chart.elements(corners) @ mode.element)
             change = (values[0] - values[1] - values[2] + values[3]) / 4.0
             # Charts compose, so that sums of deltas are a chart's to second order.
-            expected = found[row, column] * steps[row] * steps[column]
+            expected = result[row, column] * steps[row] * steps[column]
             assert -change == pytest.approx(expected, abs=4e-6)
 
 
 def test_conditions_are_gaussian_densities_at_zero() -> None:
     covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
-    found = _condition(np.array([0.3, -0.2]), covariance)
+    result = _condition(np.array([0.3, -0.2]), covariance)
     expected = multivariate_normal.logpdf([0.3, -0.2], cov=covariance)
-    assert found.log_density == pytest.approx(float(expected))
-    np.testing.assert_allclose(found.z, [1.5, -0.2 / 0.3])
-    assert found.sigmas == pytest.approx((0.2, 0.3))
+    assert result.log_density == pytest.approx(float(expected))
+    np.testing.assert_allclose(result.z, [1.5, -0.2 / 0.3])
+    assert result.sigmas == pytest.approx((0.2, 0.3))
 
 
 def test_conditions_have_the_scale_and_the_tilt_of_the_alignment() -> None:
@@ -198,10 +198,10 @@ def test_relative_poses_are_linear_in_perturbations() -> None:
     generator = np.random.default_rng(0)
     xi = 1e-6 * generator.normal(size=(8, 6))
     carriers = transports(poses)
-    found = stepwise(carriers, xi)
+    result = stepwise(carriers, xi)
     moved = relative_poses(poses @ se3.exp(xi))
     np.testing.assert_allclose(
-        found, se3.log(se3.inverse(relative_poses(poses)) @ moved), atol=1e-10
+        result, se3.log(se3.inverse(relative_poses(poses)) @ moved), atol=1e-10
     )
     belief = belief_of(2)
     diagonal, below = relative_covariance(carriers, belief.covariances)

@@ -24,15 +24,15 @@ errors = arrays(
 
 @given(values=errors)
 def test_statistics_are_numpys(values: Array) -> None:
-    ours = statistics_of(values)
-    assert ours is not None
+    result = statistics_of(values)
+    assert result is not None
     size = float(values.max())
-    assert ours.rmse == pytest.approx(np.sqrt(np.mean(values**2)), rel=1e-12)
-    assert ours.mean == pytest.approx(np.mean(values), rel=1e-12)
-    assert ours.median == pytest.approx(np.median(values), rel=1e-12)
-    assert ours.std == pytest.approx(np.std(values), abs=1e-12 * size)
-    assert ours.p95 == pytest.approx(np.percentile(values, 95), rel=1e-12)
-    assert (ours.min, ours.max, ours.count) == (values.min(), values.max(), len(values))
+    assert result.rmse == pytest.approx(np.sqrt(np.mean(values**2)), rel=1e-12)
+    assert result.mean == pytest.approx(np.mean(values), rel=1e-12)
+    assert result.median == pytest.approx(np.median(values), rel=1e-12)
+    assert result.std == pytest.approx(np.std(values), abs=1e-12 * size)
+    assert result.p95 == pytest.approx(np.percentile(values, 95), rel=1e-12)
+    assert (result.min, result.max, result.count) == (values.min(), values.max(), len(values))
 
 
 @given(values=arrays(np.float64, st.integers(1, 9), elements=st.floats(-1e9, 1e9)))
@@ -64,8 +64,8 @@ def test_statistics_scale_with_the_unit(values: Array, factor: float) -> None:
     scaled = statistics.scaled(factor)
     tolerance = 1e-12 * factor * float(values.max())
     for field in dataclasses.fields(scaled):
-        ours, theirs = getattr(scaled, field.name), getattr(direct, field.name)
-        assert ours == pytest.approx(theirs, rel=1e-12, abs=tolerance), field.name
+        result, theirs = getattr(scaled, field.name), getattr(direct, field.name)
+        assert result == pytest.approx(theirs, rel=1e-12, abs=tolerance), field.name
 
 
 @given(values=errors)

@@ -57,8 +57,8 @@ def test_health_of_a_run_is_that_of_numpy(count: int, rate_hz: float, seed: int)
     assert whole.jitter_s == pytest.approx(intervals.std(), rel=1e-5, abs=1e-8)
     assert whole.largest_gap_s == pytest.approx(intervals.max())
     expected = [*np.percentile(delays, (50, 95)), delays.max()]
-    found = [whole.arrival_p50_s, whole.arrival_p95_s, whole.arrival_max_s]
-    assert found == pytest.approx(np.array(expected) / SECOND)
+    result = [whole.arrival_p50_s, whole.arrival_p95_s, whole.arrival_max_s]
+    assert result == pytest.approx(np.array(expected) / SECOND)
     assert whole.from_future == 0
 
 
@@ -131,5 +131,5 @@ def test_a_silent_stream_is_continued_and_a_few_late_messages_are_no_delay() -> 
     stamps = BEGIN + np.arange(250) * SECOND // 25
     late = stamps + SECOND // 2
     late[::25] += 9 * SECOND
-    own, other = monitored(stamps, late, []), monitored(stamps[:175], stamps[:175], [])
-    assert own.arrival_after(other) == pytest.approx(0.5)
+    estimated, other = monitored(stamps, late, []), monitored(stamps[:175], stamps[:175], [])
+    assert estimated.arrival_after(other) == pytest.approx(0.5)

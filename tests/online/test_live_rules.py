@@ -1,4 +1,4 @@
-"""Rules of the live evaluation at their limits: counts, clocks, open starts, levers."""
+"""Rules of the live evaluation: open starts, levers and snapshots."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_lever_arm_makes_the_groundtruth_points_and_leaves_out_velocities() ->
 
 def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size: int) -> Any:
     """Return the pairs of two streams; a second pairing takes over at a batch."""
-    found, batches = [], range(0, len(sides[0][0]), size)
+    result, batches = [], range(0, len(sides[0][0]), size)
     for begin in batches:
         if begin // size == cut:
             border, at_groundtruth = pairing.unused_from, pairing.at_groundtruth
@@ -61,14 +61,14 @@ def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size
                 add(trajectory(known[part], rows[:begin][part]))
         for add, (stamps, rows) in zip(adds_of(pairing), sides, strict=True):
             add(trajectory(stamps[begin : begin + size], rows[begin : begin + size]))
-        found.append(pairing.made())
+        result.append(pairing.made())
         pairing.forget()
-    found.append(pairing.made(at_end=True))
+    result.append(pairing.made(at_end=True))
     store = PairStore()
-    for pairs in found:
+    for pairs in result:
         if pairs is not None:
             store.add(pairs)
-    return store.pairs(slice(None)), sum(0 if pairs is None else len(pairs) for pairs in found)
+    return store.pairs(slice(None)), sum(0 if pairs is None else len(pairs) for pairs in result)
 
 
 def adds_of(pairing: Pairing) -> tuple[Any, Any]:
@@ -98,8 +98,8 @@ def test_a_run_that_follows_begins_at_the_first_state_that_was_not_used(
     np.testing.assert_array_equal(parts.stamps, whole.stamps)
     assert made == len(whole)
     for name in ("groundtruth", "estimate"):
-        found, expected = (rows_of(getattr(pairs, name)) for pairs in (parts, whole))
-        np.testing.assert_allclose(found, expected, atol=1e-12)
+        result, expected = (rows_of(getattr(pairs, name)) for pairs in (parts, whole))
+        np.testing.assert_allclose(result, expected, atol=1e-12)
 
 
 def test_a_snapshot_needs_the_alignment_of_enough_states() -> None:
@@ -113,8 +113,8 @@ def test_a_snapshot_needs_the_alignment_of_enough_states() -> None:
         evaluator.add_estimate(trajectory(estimate.stamps[part], rows_of(estimate)[part]))
         evaluator.update()
         seen.append((evaluator.pairs, evaluator.snapshot().warming_up))
-    wanted = Gauge.SE3.minimum_states
+    selected = Gauge.SE3.minimum_states
     for pairs, text in seen:
-        if 0 < pairs < wanted:
-            assert text == f"{pairs} of {wanted} states for the alignment"
-    assert max(pairs for pairs, _ in seen) >= wanted
+        if 0 < pairs < selected:
+            assert text == f"{pairs} of {selected} states for the alignment"
+    assert max(pairs for pairs, _ in seen) >= selected

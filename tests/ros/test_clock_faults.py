@@ -119,7 +119,7 @@ def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
     """A delay can't be measured by such clocks; and the offset has digits that can be typed."""
     live = Live(tmp_path / "live", ODOM)
     stamps = ESTIMATED.stamps + round(ahead_s * SECOND)
-    standing, said, told = ActiveAlarms(), [], []
+    standing, printed, told = ActiveAlarms(), [], []
     for second in np.arange(0.0, 6.0, 0.5):
         fly(
             live,
@@ -131,9 +131,9 @@ def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
         now = remarks(live)
         assert not [item for item in now if item.code == "late"]
         told += [item.text for item in standing.renew(now) if item.code == "clock"]
-        said += [item.text for item in standing.as_told(now) if item.code == "clock"]
-    assert len(said) > 5
-    assert set(said) == set(told)
+        printed += [item.text for item in standing.as_told(now) if item.code == "clock"]
+    assert len(printed) > 5
+    assert set(printed) == set(told)
     [text] = told
     assert "100000 s" in text
     assert "e+" not in text
@@ -177,14 +177,14 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
     with mock.patch.object(
         clock_remarks, "about_different_clocks", side_effect=compared
     ) as tested:
-        [estimate], found = live.run.estimates, remarks(live)
+        [estimate], result = live.run.estimates, remarks(live)
     assert tested.call_count == 1
     snapshot = estimate.snapshot()
-    values = Status.of(live.run, estimate, snapshot, found, {}, 0).values
+    values = Status.of(live.run, estimate, snapshot, result, {}, 0).values
     for name in ("p50", "p95", "max"):
         assert values[f"arrival after stamp, {name} [s]"] == pytest.approx(late_s, abs=1e-6)
     assert values["arrival to publication, p95 [s]"] == pytest.approx(0.1, abs=1e-6)
-    late = [item.text for item in found if item.code == "late"]
+    late = [item.text for item in result if item.code == "late"]
     assert late == (
         []
         if late_s < 1.0
@@ -232,7 +232,7 @@ def test_low_coverage_names_poses_that_came_too_late_as_its_cause(
         truth = TRUTH[(TRUTH.seconds < 3.0) | (TRUTH.seconds > 8.0)]
     fly(live, sent(truth, GROUNDTRUTH, truth.stamps)[: at(truth, 12.0)], messages)
     [estimate] = live.run.estimates
-    [said] = [
+    [printed] = [
         item.text
         for item in remarks_about(
             live.run, estimate, estimate.snapshot(), {}, LIMITS | {"coverage": AlarmLimits(0.9)}
@@ -241,7 +241,7 @@ def test_low_coverage_names_poses_that_came_too_late_as_its_cause(
     ]
     share = estimate.snapshot().estimate_coverage
     assert share == pytest.approx(3.0 / 8.0, abs=0.03)
-    assert said == f"only {100 * share:.0f} % of the poses have groundtruth{cause}"
+    assert printed == f"only {100 * share:.0f} % of the poses have groundtruth{cause}"
     live.end()
 
 

@@ -1,4 +1,4 @@
-"""Parts of the gauge study: errors of trials, limits of measured data, and what is written."""
+"""Parts of the gauge study: errors of trials, and data that are refused."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ def test_errors_are_left_after_yaw_and_position_of_the_first_keyframe() -> None:
     errors = Rotation.from_rotvec(np.radians(np.outer(angles, [0.6, 0.0, -0.8])))
     off[0] = 0.0
     yaw, moved = Rotation.from_rotvec([0.0, 0.0, 0.7]), np.array([3.0, -2.0, 1.0])
-    own = state_of(
+    estimated = state_of(
         yaw.apply(positions + off) + moved,
         yaw * errors * rotations,
         yaw.apply(velocities + off_velocity),
     )
-    found = _errors(state_of(positions, rotations, velocities), own)
+    result = _errors(state_of(positions, rotations, velocities), estimated)
     expected = [np.sqrt(np.mean(np.sum(item**2, axis=1))) for item in (off, off_velocity)]
-    assert found == pytest.approx((expected[0], np.sqrt(np.mean(angles**2)), expected[1]))
+    assert result == pytest.approx((expected[0], np.sqrt(np.mean(angles**2)), expected[1]))
 
 
 @pytest.mark.parametrize(
-    ("gravity", "drift_deg", "said"),
+    ("gravity", "drift_deg", "text"),
     [
         ((0.0, 0.0, -9.909), 2.9, ""),
         ((0.0, 0.0, -9.911), 2.9, "gravity from groundtruth and IMU is 9.911 m/s^2, 0.0 deg"),
@@ -56,7 +56,7 @@ def test_errors_are_left_after_yaw_and_position_of_the_first_keyframe() -> None:
     ],
 )
 def test_measured_data_are_refused_beyond_their_tolerances(
-    gravity: Any, drift_deg: float, said: str, monkeypatch: pytest.MonkeyPatch
+    gravity: Any, drift_deg: float, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = SimpleNamespace(
         gravity_felt=np.array(gravity),
@@ -69,10 +69,10 @@ def test_measured_data_are_refused_beyond_their_tolerances(
     monkeypatch.setattr(examination.MeasuredScene, "of", lambda given: given)
     recording: Any = SimpleNamespace(name="flight", notes=("of the reader",))
     model = MeasurementModel(1, 10, 1.0, ImuNoise(1e-3, 1e-2), 9.81)
-    if said:
-        with pytest.raises(InputError, match=said.replace("^", r"\^").replace(".", r"\.")):
+    if text:
+        with pytest.raises(InputError, match=text.replace("^", r"\^").replace(".", r"\.")):
             examine(recording, model)
         return
-    found = examine(recording, model)
-    assert found.duration_s == 3.0
-    assert found.notes == ("of the reader", "of the selection")
+    result = examine(recording, model)
+    assert result.duration_s == 3.0
+    assert result.notes == ("of the reader", "of the selection")

@@ -48,11 +48,11 @@ def test_the_order_of_rows_and_a_header_change_nothing(
         head, *rows = (folder / name).read_text().splitlines()
         kept = [head] if name == "groundtruth.csv" else []
         (folder / name).write_text("\n".join([*kept, *generator.permutation(rows)]) + "\n")
-    found = read_tracks_folder(folder)
-    np.testing.assert_array_equal(found.groundtruth.stamps, recording.groundtruth.stamps)
-    np.testing.assert_array_equal(found.image_stamps, recording.image_stamps)
+    result = read_tracks_folder(folder)
+    np.testing.assert_array_equal(result.groundtruth.stamps, recording.groundtruth.stamps)
+    np.testing.assert_array_equal(result.image_stamps, recording.image_stamps)
     tables = []
-    for item in (found, recording):
+    for item in (result, recording):
         table = np.column_stack([item.image_of, item.track_of, item.pixels])
         tables.append(table[np.lexsort(table.T[1::-1])])
     np.testing.assert_array_equal(*tables)
@@ -89,9 +89,9 @@ def test_biases_of_one_sensor_are_not_used(folder: Path) -> None:
         folder / "groundtruth.csv",
         lambda text: "\n".join(",".join(row.split(",")[:14]) for row in text.splitlines()),
     )
-    found = read_tracks_folder(folder)
-    assert found.groundtruth.gyroscope_biases is None
-    assert found.notes == (
+    result = read_tracks_folder(folder)
+    assert result.groundtruth.gyroscope_biases is None
+    assert result.notes == (
         "no biases of both sensors in groundtruth: IMU used without correction",
     )
     edit(
@@ -123,7 +123,7 @@ def test_samples_of_the_imu_must_rise(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pattern", "by", "said"),
+    ("pattern", "by", "message"),
     [
         (r"resolution: .*", "resolution: [752, 0]", "resolution must be from 1 to 65536 pixels"),
         (r"resolution: .*", "resolution: [0.5, 480]", "resolution must be from 1"),
@@ -138,10 +138,12 @@ def test_samples_of_the_imu_must_rise(folder: Path) -> None:
         (r"0\.0, 0\.0, 0\.0, 1\.0\]\n", "0.0, 0.1, 0.0, 1.0]\n", "is not a rigid transformation"),
     ],
 )
-def test_calibrations_that_are_not_valid(pattern: str, by: str, said: str, folder: Path) -> None:
+def test_calibrations_that_are_not_valid(
+    pattern: str, by: str, message: str, folder: Path
+) -> None:
     path = folder / "camera.yaml"
     edit(path, lambda text: re.sub(pattern, by, text))
-    with pytest.raises(InputError, match=re.escape(said)):
+    with pytest.raises(InputError, match=re.escape(message)):
         read_camera(path)
 
 

@@ -29,10 +29,10 @@ def fixes_of(sigma_m: Any = 1.0, sigma_up_m: Any = 1.0, count: int = COUNT) -> F
     return Fixes(np.zeros((count, 3)), np.zeros(count), kinds, covariances)
 
 
-def said(
+def text(
     fixes: Fixes | None = None,
     heights: Any = 0.0,
-    own: Any = CLEAN,
+    estimated: Any = CLEAN,
     of: int = 1,
     **changed: Any,
 ) -> dict[str, str]:
@@ -61,16 +61,17 @@ def said(
         ate={"position_m": None if rmse is None else SimpleNamespace(rmse=rmse)},
     )
     return {
-        remark.code: remark.text for remark in about_fixes(evaluation, own, "no covariance", of)
+        remark.code: remark.text
+        for remark in about_fixes(evaluation, estimated, "no covariance", of)
     }
 
 
 def test_a_right_evaluation_has_no_warning() -> None:
-    assert said() == {}
+    assert text() == {}
 
 
 def test_without_covariances_the_noise_of_the_fixes_is_in_the_ate() -> None:
-    assert said(own=None) == {
+    assert text(estimated=None) == {
         "noise_of_fixes_unknown": "the ATE includes the noise of the fixes, which can't be "
         "removed: no covariance"
     }
@@ -97,24 +98,24 @@ def test_without_covariances_the_noise_of_the_fixes_is_in_the_ate() -> None:
 def test_jumps_are_told_of_the_fixes_or_of_the_estimate(
     jumps: int, own_jumps: int, of: int, starts: dict[str, str]
 ) -> None:
-    found = said(own=SimpleNamespace(jumps=jumps, own_jumps=own_jumps), of=of)
-    assert found.keys() == starts.keys()
-    assert all(found[code].startswith(start) for code, start in starts.items())
+    result = text(estimated=SimpleNamespace(jumps=jumps, own_jumps=own_jumps), of=of)
+    assert result.keys() == starts.keys()
+    assert all(result[code].startswith(start) for code, start in starts.items())
 
 
 def test_fixes_of_two_kinds_are_told_with_the_limit_between_them() -> None:
     """The limit is the geometric mean of the widest gap; every kind has its median."""
     sigma = np.where(np.arange(COUNT) < 25, 0.02, 0.04)
     sigma[3:10] = [4.0, 5.0, 7.5, 6.0, 4.5, 5.5, 22.0]
-    found = said(fixes_of(sigma))
-    assert found == {
+    result = text(fixes_of(sigma))
+    assert result == {
         "mixed_fixes": "7 of 40 fixes have a standard deviation of 5.5 m, the others 0.02 m "
         "(probably float and fixed RTK); exclude the former with --max-fix-sigma 0.4"
     }
-    assert said(fixes_of(sigma), weights="covariance") == {}
+    assert text(fixes_of(sigma), weights="covariance") == {}
     unknown = fixes_of(sigma)
     unknown.covariance_types[:] = 0
-    assert said(unknown) == {}
+    assert text(unknown) == {}
 
 
 def heights_with_step(
@@ -145,12 +146,12 @@ def test_heights_that_change_once_and_stay_are_of_two_references(
     place: int, step_m: float, noise_m: float, back_m: float, sign: float, *, is_told: bool
 ) -> None:
     heights = sign * heights_with_step(place, step_m, noise_m, back_m)
-    found = said(heights=heights)
-    assert found.keys() == ({"heights_jump"} if is_told else set())
+    result = text(heights=heights)
+    assert result.keys() == ({"heights_jump"} if is_told else set())
     if is_told:
         level = np.median(heights[place : place + 10]) - np.median(heights[place - 10 : place])
-        assert f" change by {level:+.1f} m at once" in found["heights_jump"]
-    assert said(heights=heights, gauge=Gauge.PLANAR) == {}
+        assert f" change by {level:+.1f} m at once" in result["heights_jump"]
+    assert text(heights=heights, gauge=Gauge.PLANAR) == {}
 
 
 SPARSE = SimpleNamespace(off_m=0.05, step_s=0.5)
@@ -175,7 +176,7 @@ SPARSE = SimpleNamespace(off_m=0.05, step_s=0.5)
 )  # fmt: skip
 def test_large_effects_are_told(evaluated: dict[str, Any], told: dict[str, str]) -> None:
     sigma_up = np.full(COUNT, evaluated.pop("sigma_up_m", 1.0))
-    remarks = said(fixes_of(sigma_up_m=sigma_up), **evaluated)
+    remarks = text(fixes_of(sigma_up_m=sigma_up), **evaluated)
     assert remarks.keys() == told.keys()
     for code, part in told.items():
         assert part in remarks[code]

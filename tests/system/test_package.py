@@ -226,8 +226,8 @@ def test_outside_packages_are_imported_in_their_subpackages_only() -> None:
     "writer", [r'"---"', r"csv\.writer\(", r"begin{+tabular", r"class Table\b"]
 )
 def test_tables_of_a_format_are_written_in_one_place(writer: str) -> None:
-    found = [path.stem for path in sources() if re.search(writer, path.read_text("utf-8"))]
-    assert found == ["console" if "Table" in writer else "text_tables"]
+    result = [path.stem for path in sources() if re.search(writer, path.read_text("utf-8"))]
+    assert result == ["console" if "Table" in writer else "text_tables"]
 
 
 def test_package_itself_imports_nothing_until_it_is_asked() -> None:

@@ -55,15 +55,15 @@ def block(content: list[Message], padding: int = 0) -> Block:
 @settings(max_examples=20)
 @given(messages, st.integers(0, 30))
 def test_a_block_is_a_list_of_messages(content: list[Message], padding: int) -> None:
-    found = block(content, padding)
-    assert listed(found) == content
-    assert found.earliest == min((time for _, time, _ in content), default=0)
-    small = found.compact()
+    result = block(content, padding)
+    assert listed(result) == content
+    assert result.earliest == min((time for _, time, _ in content), default=0)
+    small = result.compact()
     assert listed(small) == content
-    assert small.earliest == found.earliest
+    assert small.earliest == result.earliest
     used = sum(len(payload) for *_, payload in content)
-    assert len(small.buffer) == (used if 2 * used < len(found.buffer) else len(found.buffer))
-    by_connection = [(which, listed(part)) for which, part in found.by_connection()]
+    assert len(small.buffer) == (used if 2 * used < len(result.buffer) else len(result.buffer))
+    by_connection = [(which, listed(part)) for which, part in result.by_connection()]
     assert by_connection == [
         (which, [item for item in content if item[0] == which])
         for which in sorted({item[0] for item in content})
@@ -89,10 +89,10 @@ def test_messages_are_grouped_in_blocks_of_bounded_size(
     content: list[Message], rows: int, size: int
 ) -> None:
     with mock.patch.multiple(blocks, ROWS=rows, BYTES=size):
-        found = list(blocks_of(content))
+        result = list(blocks_of(content))
         again = list(merged(map(block, [[item] for item in content])))
     assert [item for part in again for item in listed(part)] == content
-    groups = [[(c, t, bytes(p)) for c, t, p in _rows(part)] for part in found]
+    groups = [[(c, t, bytes(p)) for c, t, p in _rows(part)] for part in result]
     assert [item for group in groups for item in group] == content
     for group, part in zip(groups, again, strict=True):
         assert len(group) == len(part)
@@ -154,11 +154,11 @@ def test_messages_compressed_one_by_one_are_decompressed(rows: list[tuple[int, b
     ]
     content = [(row % 2, row, item) for row, item in enumerate(stored)]
     source = dataclasses.replace(block(content), earliest=-7)
-    found = list(source.decompressed())
-    assert [item for part in found for item in listed(part)] == [
+    result = list(source.decompressed())
+    assert [item for part in result for item in listed(part)] == [
         (row % 2, row, item) for row, item in enumerate(plain)
     ]
-    assert all(part.earliest == -7 for part in found)
+    assert all(part.earliest == -7 for part in result)
 
 
 @given(
@@ -167,18 +167,18 @@ def test_messages_compressed_one_by_one_are_decompressed(rows: list[tuple[int, b
     st.lists(st.tuples(st.integers(0, 220), st.integers(0, 80), st.integers(0, 260))),
 )
 def test_a_window_of_a_file_gives_the_slices_of_its_content(
-    content: bytes, size: int, wanted: list[tuple[int, int, int]]
+    content: bytes, size: int, selected: list[tuple[int, int, int]]
 ) -> None:
     source = mock.Mock()
     source.read = lambda offset, count: content[offset : offset + count]
     window = ByteWindow(source, size)
     assert window.at(0, 1, len(content)) == content[:1]
-    for offset, count, more in wanted:
+    for offset, count, more in selected:
         end = min(offset + more, len(content))
-        found = window.at(offset, count, max(end, offset))
+        result = window.at(offset, count, max(end, offset))
         # Bytes that are in memory already may be after the end.
-        assert content[offset : min(offset + count, end)] == found[: max(0, end - offset)]
-        assert content[offset : offset + count].startswith(found)
+        assert content[offset : min(offset + count, end)] == result[: max(0, end - offset)]
+        assert content[offset : offset + count].startswith(result)
 
 
 def test_a_file_is_read_in_pieces_if_the_system_gives_less(tmp_path: Path) -> None:

@@ -31,8 +31,8 @@ COMPRESS: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.parametrize("kind", COMPRESS)
 @given(content=st.binary(max_size=300), limit=st.integers(0, 310))
 def test_what_is_decompressed_ends_at_the_limit(kind: str, content: bytes, limit: int) -> None:
-    found = decompress(kind, COMPRESS[kind](content), limit)
-    assert bytes(found) == content[:limit]
+    result = decompress(kind, COMPRESS[kind](content), limit)
+    assert bytes(result) == content[:limit]
 
 
 @pytest.mark.parametrize("kind", [item for item in COMPRESS if item])

@@ -45,9 +45,9 @@ class Counting(Memory):
         self.taken = 0
 
     def read(self, offset: int, size: int) -> bytes:
-        found = super().read(offset, size)
-        self.taken += len(found)
-        return found
+        result = super().read(offset, size)
+        self.taken += len(result)
+        return result
 
 
 def sparse(count: int = 12, image: int = 60_000, pose: int = 30) -> list[Message]:
@@ -66,16 +66,16 @@ def test_only_what_the_index_lists_is_read_of_a_chunk(image: int, pose: int) -> 
     content = bytes(Layout([], CHANNELS, [Part(rows)]))
     [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
     source: Any = Counting(content)
-    found = read_chunk(source, chunk, {POSE}, strict=False)
-    assert rows_of([found.block]) == [row for row in rows if row[0] == POSE]
-    assert found.damage == ""
+    result = read_chunk(source, chunk, {POSE}, strict=False)
+    assert rows_of([result.block]) == [row for row in rows if row[0] == POSE]
+    assert result.damage == ""
     # Messages nearer than 64 KiB are read with what is between them.
     is_sparse = image + pose + 62 > GAP
-    assert found.is_partial == is_sparse
+    assert result.is_partial == is_sparse
     assert (source.taken < 0.5 * chunk.size) == is_sparse
     whole = read_chunk(source, chunk, {POSE}, strict=True)
     assert not whole.is_partial
-    assert rows_of([whole.block]) == rows_of([found.block])
+    assert rows_of([whole.block]) == rows_of([result.block])
     both = read_chunk(source, chunk, {POSE, IMAGE}, strict=False)
     assert rows_of([both.block]) == rows
 
@@ -92,14 +92,14 @@ def test_a_damaged_index_costs_bytes_and_no_message(field: str, channel: int) ->
         changed = bytearray(content)
         at = place + offsets[field]
         changed[at] = (changed[at] + change) % 256
-        wanted = {POSE, OTHER}
-        found = read_chunk(Counting(bytes(changed)), chunk, wanted, strict=False)  # type: ignore[arg-type]
-        assert not found.is_partial
-        assert found.damage == ""
-        assert found.block is not None
-        assert rows_of([found.block]) == [row for row in rows if row[0] in wanted]
+        expected = {POSE, OTHER}
+        result = read_chunk(Counting(bytes(changed)), chunk, expected, strict=False)  # type: ignore[arg-type]
+        assert not result.is_partial
+        assert result.damage == ""
+        assert result.block is not None
+        assert rows_of([result.block]) == [row for row in rows if row[0] in expected]
     cut = content[: place + 10]
-    assert found.block is not None
+    assert result.block is not None
     short = read_chunk(Counting(cut), chunk, {channel}, strict=False)  # type: ignore[arg-type]
     assert short.block is not None
     assert rows_of([short.block]) == [row for row in rows if row[0] == channel]
@@ -113,10 +113,10 @@ def test_a_damaged_message_of_a_part_is_found_by_its_head() -> None:
     for at, is_found in ((0, True), (4, True), (9, True), (15, True), (11, False), (35, False)):
         changed = bytearray(content)
         changed[place + at] ^= 1
-        found = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
+        result = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
         # The sequence number and the payload are verified by the checksum of the whole chunk only.
-        assert found.is_partial == (not is_found)
-        assert ("checksum" in found.damage) == is_found
+        assert result.is_partial == (not is_found)
+        assert ("checksum" in result.damage) == is_found
     for end in (place + 20, place + 60):
         cut = read_chunk(Counting(content[:end]), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
         assert cut.block is None
@@ -153,13 +153,13 @@ def test_messages_of_any_window_are_read_in_order_of_the_pieces(
     with mock.patch.object(mcap_bag, "_IN_FLIGHT", most):
         blocks = list(reader.blocks(selections, *window))
     begin, end = window
-    wanted = [
+    expected = [
         row
         for part in parts
         for row in part.rows
         if row[0] != IMAGE and (begin is None or row[1] >= begin) and (end is None or row[1] < end)
     ]
-    assert sorted(rows_of(blocks)) == sorted(wanted)
+    assert sorted(rows_of(blocks)) == sorted(expected)
     earliest = [block.earliest for block in blocks]
     assert earliest == sorted(earliest)
     assert all(block.earliest <= block.log_times.min() for block in blocks)
@@ -234,12 +234,12 @@ def test_a_fix_of_foxglove_without_covariance_has_zeros() -> None:
     plan = FoxglovePlan(FIX_TYPE, "json")
     full = {**message, "position_covariance": [*range(9)], "position_covariance_type": 3}
     short = {**message, "position_covariance": [1.0] * 8}
-    found = plan.decode([json.dumps(item).encode() for item in (message, short, full)])
-    assert found.rows.tolist() == [0, 2]
-    np.testing.assert_array_equal(found.numbers["position_covariance"], [[0] * 9, range(9)])
-    assert found.numbers["position_covariance_type"].tolist() == [0, 3]
-    assert found.numbers["altitude"].tolist() == [400, 400]
-    assert found.numbers["header.stamp.nanosec"].tolist() == [4, 4]
+    result = plan.decode([json.dumps(item).encode() for item in (message, short, full)])
+    assert result.rows.tolist() == [0, 2]
+    np.testing.assert_array_equal(result.numbers["position_covariance"], [[0] * 9, range(9)])
+    assert result.numbers["position_covariance_type"].tolist() == [0, 3]
+    assert result.numbers["altitude"].tolist() == [400, 400]
+    assert result.numbers["header.stamp.nanosec"].tolist() == [4, 4]
     for sec, nsec, is_time in (
         (-(2**31), 0, True),
         (-(2**31) - 1, 0, False),

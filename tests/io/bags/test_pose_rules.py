@@ -1,4 +1,4 @@
-"""Rules for poses of messages at their limits: times, frames, resets, transforms, PX4."""
+"""Poses of messages: times, frames, twists and transforms."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.io.bags.declared_resets import declared_resets
 from trajeval_ros.io.bags.pose_columns import PoseColumns, frames_changes
 from trajeval_ros.io.bags.transform_tree import (
     Edge,
@@ -48,24 +47,24 @@ def test_frames_of_the_picked_poses_are_those_they_had(rows: list[tuple[str, boo
     names, usable = [name for name, _ in rows], np.array([kept for _, kept in rows])
     entries = [(row, name, "x") for row, name in enumerate(names)]
     columns = poses(len(rows), frames=frames_changes(entries), dropped={"other": 2})
-    found = columns.picked(usable, "other")
-    assert found.rows.tolist() == np.flatnonzero(usable).tolist()
+    result = columns.picked(usable, "other")
+    assert result.rows.tolist() == np.flatnonzero(usable).tolist()
     kept = [name for name, good in zip(names, usable, strict=True) if good]
     by_row = [
-        next(frame for row, frame, _ in reversed(found.frames) if row <= place)
+        next(frame for row, frame, _ in reversed(result.frames) if row <= place)
         for place in range(len(kept))
     ]
     assert by_row == kept
     changes = [row for row in range(len(kept)) if not row or kept[row] != kept[row - 1]]
-    assert [row for row, *_ in found.frames] == changes
-    assert found.dropped == {"other": 2 + int((~usable).sum())}
+    assert [row for row, *_ in result.frames] == changes
+    assert result.dropped == {"other": 2 + int((~usable).sum())}
 
 
 def test_poses_without_a_time_are_counted() -> None:
     timed = np.array([True, False, True, False, False, True])
-    found = usable_poses(poses(undecodable=3, dropped={"zero_stamp": 1}), timed)
-    assert found.columns.rows.tolist() == [0, 2, 5]
-    assert found.dropped == {"undecodable": 3, "zero_stamp": 4}
+    result = usable_poses(poses(undecodable=3, dropped={"zero_stamp": 1}), timed)
+    assert result.columns.rows.tolist() == [0, 2, 5]
+    assert result.dropped == {"undecodable": 3, "zero_stamp": 4}
     assert usable_poses(poses(), np.ones(6, dtype=bool)).dropped == {}
 
 
@@ -76,9 +75,9 @@ def test_a_twist_is_turned_from_the_body_unless_the_body_is_the_world() -> None:
     expected = Rotation.from_quat(columns.quaternions).apply(columns.body_velocities)
     long = columns.replaced(quaternions=columns.quaternions * 3.0)
     for item in (columns, long):
-        found = usable_poses(item, timed).velocities
-        assert found is not None
-        np.testing.assert_allclose(found, expected, atol=1e-14)
+        result = usable_poses(item, timed).velocities
+        assert result is not None
+        np.testing.assert_allclose(result, expected, atol=1e-14)
     for frames, is_of_world in (
         ([(0, "world", "world")], True),
         ([(0, "world", "world"), (3, "map", "map")], True),
@@ -97,30 +96,6 @@ def test_a_twist_is_turned_from_the_body_unless_the_body_is_the_world() -> None:
         assert usable_poses(lacking, timed).velocities is None
 
 
-def test_a_reset_is_the_step_beyond_the_motion() -> None:
-    headings = np.radians([0.0, 0.0, 30.0, 30.0, 30.0, -15.0, -15.0, -15.0])
-    counters = np.array([3, 3, 4, 4, 4, 2, 2, 3])
-    columns = poses(
-        8,
-        flags=np.column_stack([counters, np.zeros(8, dtype=np.int64)]),
-        positions=np.column_stack([np.cumsum([0, 2, 5, 2, 2, 2, 2, 2.5]), *np.zeros((2, 8))]),
-        velocities=np.column_stack([np.full(8, 2.0), *np.zeros((2, 8))]),
-        quaternions=Rotation.from_rotvec(np.outer(headings, [0.0, 0.0, 1.0])).as_quat(),
-    )
-    found = declared_resets(columns)
-    assert [item.stamp_ns for item in found] == [2 * SECOND, 5 * SECOND, 7 * SECOND]
-    np.testing.assert_allclose([item.position_m for item in found], [3.0, 0.0, 0.5], atol=1e-14)
-    np.testing.assert_allclose(
-        [item.rotation_deg for item in found], [30.0, 45.0, 0.0], atol=1e-12
-    )
-    without = declared_resets(columns.replaced(velocities=None, quaternions=None))
-    np.testing.assert_allclose([item.position_m for item in without], [5.0, 2.0, 2.5])
-    assert [item.rotation_deg for item in without] == [0.0] * 3
-    assert declared_resets(columns.replaced(flags=None)) == ()
-    unknown = columns.replaced(velocities=np.full((8, 3), np.nan))
-    assert declared_resets(unknown)[0].position_m == 5.0
-
-
 def edge(stamps: list[int], *, is_static: bool = False, seed: int = 0) -> Edge:
     rng = np.random.default_rng(seed)
     numbers = np.hstack([rng.normal(size=(len(stamps), 3)), rng.normal(size=(len(stamps), 4))])
@@ -128,16 +103,16 @@ def edge(stamps: list[int], *, is_static: bool = False, seed: int = 0) -> Edge:
 
 
 def test_an_edge_is_interpolated_between_its_transforms_and_exact_at_them() -> None:
-    found = edge([10, 20, 50])
-    places, turns = found.at(np.array([10, 12, 20, 35, 50]))
-    assert np.array_equal(places[[0, 2, 4]], found.translations)
+    result = edge([10, 20, 50])
+    places, turns = result.at(np.array([10, 12, 20, 35, 50]))
+    assert np.array_equal(places[[0, 2, 4]], result.translations)
     np.testing.assert_allclose(
-        places[1], 0.8 * found.translations[0] + 0.2 * found.translations[1]
+        places[1], 0.8 * result.translations[0] + 0.2 * result.translations[1]
     )
     np.testing.assert_allclose(
-        places[3], 0.5 * found.translations[1] + 0.5 * found.translations[2]
+        places[3], 0.5 * result.translations[1] + 0.5 * result.translations[2]
     )
-    expected = Slerp(found.stamps, Rotation.from_quat(found.quaternions))([10, 12, 20, 35, 50])
+    expected = Slerp(result.stamps, Rotation.from_quat(result.quaternions))([10, 12, 20, 35, 50])
     between = Rotation.from_quat(turns).inv() * expected
     assert between.magnitude().max() < 1e-14
 

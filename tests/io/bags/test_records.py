@@ -1,4 +1,4 @@
-"""Limits of records, chunks and definitions: at them, below and above."""
+"""Records of MCAP files, and definitions of messages."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def message(channel: int, time: int, payload: bytes) -> bytes:
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 99), st.binary(max_size=20))))
 def test_records_are_walked_up_to_the_first_incomplete_one(rows: Any) -> None:
     content = b"".join(message(*item) for item in rows)
-    found, is_whole = walked(content)
+    result, is_whole = walked(content)
     assert is_whole
-    assert found.channels.tolist() == [channel for channel, *_ in rows]
-    assert found.log_times.tolist() == [time for _, time, _ in rows]
-    assert found.sizes.tolist() == [len(payload) for *_, payload in rows]
+    assert result.channels.tolist() == [channel for channel, *_ in rows]
+    assert result.log_times.tolist() == [time for _, time, _ in rows]
+    assert result.sizes.tolist() == [len(payload) for *_, payload in rows]
     for row, (channel, time, payload) in enumerate(rows):
-        begin = int(found.offsets[row])
+        begin = int(result.offsets[row])
         whole = message(channel, time, payload)
         assert content[begin : begin + len(whole)] == whole
         assert head_of(content, begin) == (MESSAGE, len(whole) - 9)

@@ -23,20 +23,20 @@ def read(path: Path, *lines: str, **hints: Any) -> Trajectory:
     return read_trajectory(path, hints=TextHints(**hints))
 
 
-def said(found: Trajectory) -> str:
-    return "; ".join(found.reading.messages(Level.NOTE))
+def text(result: Trajectory) -> str:
+    return "; ".join(result.reading.messages(Level.NOTE))
 
 
 def test_rows_without_times_are_counted_by_a_rate(tmp_path: Path) -> None:
     rows = [f"{row}.0 0 0 0 0 0 1" for row in range(4)]
-    found = read(tmp_path / "x.txt", *rows, frame_rate_hz=30.0)
-    assert found.stamps.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
-    assert found.reading.stamped
-    assert "timestamps counted at 30 Hz" in said(found)
+    result = read(tmp_path / "x.txt", *rows, frame_rate_hz=30.0)
+    assert result.stamps.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
+    assert result.reading.stamped
+    assert "timestamps counted at 30 Hz" in text(result)
     bare = read(tmp_path / "x.txt", *rows)
     assert bare.stamps.tolist() == [0, SECOND, 2 * SECOND, 3 * SECOND]
     assert not bare.reading.stamped
-    assert "frames counted, 1 s apart" in said(bare)
+    assert "frames counted, 1 s apart" in text(bare)
     for rate in (0.0, -1.0, math.inf, math.nan):
         assert is_refused(TextHints, frame_rate_hz=rate)
 
@@ -45,13 +45,13 @@ def test_rows_without_times_are_counted_by_a_rate(tmp_path: Path) -> None:
 def test_a_file_of_times_has_one_per_row(tmp_path: Path, count: int) -> None:
     (tmp_path / "times.txt").write_text("".join(f"{10 + row}.5\n" for row in range(count)))
     rows = ["1 0 0 0 0 1 0 0 0 0 1 0"] * 4
-    found = read(tmp_path / "x.txt", *rows)
+    result = read(tmp_path / "x.txt", *rows)
     if count == 4:
-        assert found.stamps.tolist() == [10_500_000_000 + row * SECOND for row in range(4)]
-        assert "timestamps read from" in said(found)
+        assert result.stamps.tolist() == [10_500_000_000 + row * SECOND for row in range(4)]
+        assert "timestamps read from" in text(result)
     else:
-        assert not found.reading.stamped
-        assert f"times.txt ignored: it has {count} rows for 4 poses" in said(found)
+        assert not result.reading.stamped
+        assert f"times.txt ignored: it has {count} rows for 4 poses" in text(result)
     (tmp_path / "times.txt").write_text("1 2\n3 4\n")
     with pytest.raises(InputError, match="has 2 columns, expected one time per line"):
         read_trajectory(tmp_path / "x.txt")
@@ -76,11 +76,11 @@ def test_whole_numbers_in_equal_steps_count_the_rows_of_a_file_of_times(
     if numbers == (1, 1, 1):
         assert is_refused(read, tmp_path / "x.txt", *rows)
         return
-    found = read(tmp_path / "x.txt", *rows)
-    assert found.reading.numbered == counts
+    result = read(tmp_path / "x.txt", *rows)
+    assert result.reading.numbered == counts
     if counts:
         expected = [100_500_000_000 + int(number) * SECOND for number in numbers]
-        assert found.stamps.tolist() == expected
+        assert result.stamps.tolist() == expected
 
 
 @pytest.mark.parametrize("number", ["-1", "1.5"])

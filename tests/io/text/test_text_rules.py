@@ -1,4 +1,4 @@
-"""Rules that choose a layout, a unit or a time of text files, at their limits."""
+"""Rotations, covariances and arrays of text files."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def groups_of(names: str, rows: Any) -> tuple[Layout, dict[str, Array]]:
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
 def test_angles_are_about_z_then_y_then_x(angles: list[float]) -> None:
     layout, groups = groups_of("x y z roll pitch yaw", [[0, 0, 0, *angles]])
-    found = states_of(Path("x"), layout, groups, 1)
+    result = states_of(Path("x"), layout, groups, 1)
     about = [np.array(axis) * angle for axis, angle in zip(np.eye(3), angles, strict=True)]
     x, y, z = map(Rotation.from_rotvec, about)
-    assert found.quaternions is not None
-    assert (Rotation.from_quat(found.quaternions[0]).inv() * z * y * x).magnitude() < 1e-14
+    assert result.quaternions is not None
+    assert (Rotation.from_quat(result.quaternions[0]).inv() * z * y * x).magnitude() < 1e-14
 
 
 @pytest.mark.parametrize(
@@ -60,15 +60,15 @@ def test_covariances_are_symmetric_and_about_the_stated_axes(group: str, convent
         group: whole[:, rows, columns],
     }
     layout = Layout("named", (), covariances=convention)
-    found = states_of(Path("x"), layout, groups, 3)
-    assert found.covariances is not None
+    result = states_of(Path("x"), layout, groups, 3)
+    assert result.covariances is not None
     expected = whole
     if convention == BODY_TWISTS:
         both = np.zeros((3, 6, 6))
         both[:, :3, :3] = both[:, 3:, 3:] = turns.as_matrix()
         expected = both @ whole @ both.swapaxes(1, 2)
-    np.testing.assert_allclose(found.covariances, expected, rtol=1e-12, atol=1e-12)
-    assert len(found.remarks) == (convention == FIXED_AXES)
+    np.testing.assert_allclose(result.covariances, expected, rtol=1e-12, atol=1e-12)
+    assert len(result.remarks) == (convention == FIXED_AXES)
     del groups["quaternion"]
     assert states_of(Path("x"), layout, groups, 3).covariances is None
 
@@ -76,10 +76,10 @@ def test_covariances_are_symmetric_and_about_the_stated_axes(group: str, convent
 def test_columns_of_an_array() -> None:
     turns = Rotation.random(4, random_state=0).as_quat()
     rows = np.hstack([np.arange(4)[:, None] + 0.5, np.ones((4, 3)), turns])
-    found = array_trajectory(rows, "vio")
-    assert found.stamps.tolist() == [500_000_000 + row * SECOND for row in range(4)]
-    np.testing.assert_array_equal(found.positions, np.ones((4, 3)))
-    np.testing.assert_allclose(found.quaternions, turns, atol=1e-15)  # type: ignore[arg-type]
+    result = array_trajectory(rows, "vio")
+    assert result.stamps.tolist() == [500_000_000 + row * SECOND for row in range(4)]
+    np.testing.assert_array_equal(result.positions, np.ones((4, 3)))
+    np.testing.assert_allclose(result.quaternions, turns, atol=1e-15)  # type: ignore[arg-type]
     for factor, refused in ((1.0099, False), (1.0101, True), (0.9901, False), (0.9899, True)):
         longer = rows.copy()
         longer[1, 4:] *= factor
@@ -88,9 +88,9 @@ def test_columns_of_an_array() -> None:
     unclear[:, 1:5] = unclear[:, 4:]  # both are of unit length
     assert is_refused(array_trajectory, unclear, "vio")
     rows[2, 0] = np.nan
-    found = array_trajectory(rows, "vio")
-    assert (len(found), found.reading.dropped["not_finite"]) == (3, 1)
-    assert found.reading.format == "numpy (N, 8)"
+    result = array_trajectory(rows, "vio")
+    assert (len(result), result.reading.dropped["not_finite"]) == (3, 1)
+    assert result.reading.format == "numpy (N, 8)"
     assert is_refused(array_trajectory, np.array([["a"]]), "vio")
     assert is_refused(array_trajectory, np.zeros((3, 5)), "vio")
     assert is_refused(array_trajectory, np.zeros(3), "vio")
