@@ -35,10 +35,10 @@ export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo demo-real test test-jazzy test-ros test-real lint format bench bench-gnss bench-live \
-	bench-runs bench-scale bench-diagnosis bench-watch soak parity conformance fuzz fuzz-bytes chaos \
+.PHONY: help install demo demo-real test test-slow test-jazzy test-ros test-real lint format bench bench-gnss \
+	bench-live bench-runs bench-scale bench-diagnosis bench-watch soak parity conformance fuzz fuzz-bytes chaos \
 	chaos-ros mutate audit lock colcon-environment ros-environment clean settings site serve-site test-kernels \
-	test-all test-stress oracles
+	test-all test-stress oracles beside-ros
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -57,37 +57,48 @@ demo-real: $(REAL)/.installed ## Evaluate real lidar odometry live and recorded;
 		--seconds $(SECONDS) $(if $(REAL_TIME),--real-time) --estimators $(ESTIMATORS)
 
 # Each process has one thread of linear algebra: more of them than cores wait for each other.
-test test-all test-jazzy: export OPENBLAS_NUM_THREADS := 1
+test test-slow test-jazzy: export OPENBLAS_NUM_THREADS := 1
 
 # A worker begins with neighbours, which share what a module has prepared, and ends with whatever
 # the others have left.
 PYTEST_ALL_CORES := python -m pytest -n auto --dist worksteal
+FAST := -m "not slow and not ros and not oracles"
+# Tests over DDS wait for one another's messages. What runs beside them yields: NICE="nice -n 19".
+NICE ?=
 
 test: $(VENV)/.installed ## Run the tests that take minutes; browsers, viewers, clusters and ROS are left out.
-	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros and not oracles"
+	$(VENV)/bin/$(PYTEST_ALL_CORES) $(FAST)
 
 test-real: $(REAL)/.installed ## Run the tests of real estimators, in the environment of `make demo-real`.
 	$(ALONE) $(REAL)/bin/python -m pytest -m ros -k small_gicp \
 		tests/ros/test_lidar_odometry.py
 
-test-all: $(VENV)/.installed ## Run all tests, those that need ROS 2 included.
-	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not oracles"
-	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory test-ros,\
-		@echo "there are no wheels of ROS 2 for this machine: its tests are left out")
-	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory oracles,\
-		@echo "the comparison with Ceres and GTSAM is left out: make oracles")
+test-slow: $(VENV)/.installed ## Run the tests that take long, or start browsers, viewers and clusters.
+	$(NICE) $(VENV)/bin/$(PYTEST_ALL_CORES) -m "slow and not ros and not oracles"
 
-test-jazzy: $(JAZZY)/.installed ## Run the tests of `make test` on ROS 2 Jazzy's versions.
-	$(JAZZY)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros and not oracles"
+test-all: test ## Run all tests: fast ones, then slow ones beside those that need ROS 2.
+	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory beside-ros,\
+		@echo "there are no wheels of ROS 2 for this machine: its tests are left out"; \
+		$(MAKE) --no-print-directory test-slow)
+
+BESIDE ?= test-slow oracles
+
+beside-ros: $(ROS)/.installed $(ROS)/.tf2_msgs
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target NICE="nice -n 19" test-ros $(BESIDE)
+
+# As on an old CPU: a failure of `make test-jazzy` alone is of the versions or of its arithmetic.
+test-jazzy: $(JAZZY)/.installed ## Run the tests of `make test` on ROS 2 Jazzy's versions, with Nehalem's arithmetic.
+	$(NICE) env $$($(JAZZY)/bin/python tests/support/kernels.py --environment Nehalem) \
+		$(JAZZY)/bin/$(PYTEST_ALL_CORES) $(FAST)
 
 test-kernels: $(VENV)/.installed ## Run the fast numeric tests with the arithmetic of other CPUs; KERNELS="Nehalem".
-	$(VENV)/bin/python tests/support/kernels.py $(KERNELS)
+	$(NICE) $(VENV)/bin/python tests/support/kernels.py $(KERNELS)
 
 test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.
 	$(ALONE) $(ROS)/bin/python -m pytest -m ros
 
 oracles: $(ORACLES)/.installed ## Compare the estimator with Ceres and GTSAM, in an environment of their own.
-	OPENBLAS_NUM_THREADS=1 $(ORACLES)/bin/python -m pytest -m oracles tests/visual_inertial/test_solver_oracles.py
+	OPENBLAS_NUM_THREADS=1 $(NICE) $(ORACLES)/bin/python -m pytest -m oracles tests/visual_inertial/test_solver_oracles.py
 
 TARGET ?= test
 TIMES ?= 3

@@ -1,4 +1,4 @@
-"""The correlation of rates of motion, its peak, and the verdict on it."""
+"""The correlation of rates of motion, and offsets of flights."""
 
 from __future__ import annotations
 
@@ -16,13 +16,10 @@ from strategies import seeds
 
 from trajeval_ros.calibration import clock_offset
 from trajeval_ros.calibration.clock_offset import (
-    OffsetGuess,
-    _highest,
     _rate,
     guess_offset,
     guess_offset_by,
     masked_correlation,
-    refined_peak,
 )
 from trajeval_ros.calibration.increments import PoseInterpolator, whole_nanoseconds
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -55,115 +52,13 @@ def test_masked_correlations_are_those_of_common_samples(
                 assert correlation[signal, place] == pytest.approx(value, abs=1e-6)
 
 
-def test_constant_signals_have_no_correlation() -> None:
-    ones, signal = np.ones(8), np.array([1.0, 3.0, 2.0, 5.0, 4.0, 2.0, 1.0, 6.0])
-    assert not masked_correlation(0.0 * ones, ones, signal, ones)[1].any()
-
-
-@given(shift=st.floats(-0.5, 0.5), bend=st.floats(0.1, 3.0))
-def test_the_refined_peak_is_that_of_the_parabola(shift: float, bend: float) -> None:
-    cells = np.arange(5.0)
-    assert refined_peak(4.0 - bend * (cells - 2.0 - shift) ** 2, 2) == pytest.approx(shift)
-    assert refined_peak(cells, 0) == refined_peak(cells, 4) == refined_peak(cells, 2) == 0.0
-    assert refined_peak(np.array([4.0, 1.0, 5.0]), 1) == 0.0
-
-
-def highest(heights: Array, *, common: Array | None = None, search_s: float | None = 5.0,
-            around_s: float = 0.0, signal: str = "speed") -> OffsetGuess:  # fmt: skip
-    lags_s = 0.02 * (np.arange(float(len(heights))) - len(heights) // 2)
-    overlap = np.full(len(heights), 1000.0) if common is None else common
-    return _highest(lags_s, heights, overlap, around_s, search_s, signal)
-
-
-def lobe(cells: int = 201, at: int = 100, width: float = 10.0, height: float = 0.9) -> Array:
-    places = np.arange(float(cells)) - at
-    return np.asarray(height * np.exp(-0.5 * (places / width) ** 2))
-
-
-def test_the_highest_correlation_and_its_verdict() -> None:
-    found = highest(lobe(at=110))
-    assert found.is_usable
-    assert found.offset_s == pytest.approx(0.2, abs=1e-6)
-    assert found.peak == pytest.approx(0.9)
-    assert found.overlap_s == pytest.approx(20.0)
-    # The lobe ends at its limit of 0.8, and falls from there on: the rest is beyond it.
-    assert found.second < 0.8 * 0.9
-    heights = lobe() + lobe(at=20, width=5.0, height=0.71)
-    assert highest(heights).is_usable
-    assert highest(heights).second == pytest.approx(0.71, abs=1e-6)
-    heights = lobe() + lobe(at=180, width=5.0, height=0.73)
-    assert "match at several offsets" in highest(heights).problem
-    assert highest(heights).second == pytest.approx(0.73, abs=1e-6)
-    # A ripple on the top is no second peak.
-    heights = lobe(width=20.0)
-    heights[108], heights[92] = 0.89, 0.88
-    assert highest(heights).is_usable
-    sides = highest(heights + lobe(at=20, width=5.0, height=0.5))
-    assert sides.peak_to_sidelobe > 3.0
-
-
-@pytest.mark.parametrize("at", [10, 190])
-def test_a_lobe_that_falls_to_both_limits_has_no_sides(at: int) -> None:
-    for width in (30.0, 500.0):
-        found = highest(lobe(at=at, width=width))
-        assert found.is_usable
-        assert (found.second, found.peak_to_sidelobe) == (-1.0, 0.0)
-
-
-def test_sides_have_a_mean_and_a_deviation() -> None:
-    sides = np.tile([0.1, 0.3], 50)
-    for heights in (
-        np.concatenate([lobe(101, 50, 5.0), sides]),
-        np.concatenate([sides[::-1], lobe(101, 50, 5.0)]),
-    ):
-        found = highest(heights)
-        assert found.second == pytest.approx(0.3)
-        assert found.peak_to_sidelobe == pytest.approx((0.9 - 0.2) / 0.1)
-
-
-@pytest.mark.parametrize(("signal", "least"), [("speed", 0.5), ("angular rate", 0.7)])
-def test_correlations_have_a_least_height(signal: str, least: float) -> None:
-    assert highest(lobe(height=least + 1e-6), signal=signal).is_usable
-    low = highest(lobe(height=least - 1e-6), signal=signal)
-    assert "do not correlate" in low.problem
-    assert not low.is_usable
-
-
-def test_matches_at_the_limits_of_the_search() -> None:
-    for at in (0, 200):
-        assert "at the limit" in highest(lobe(at=at)).problem
-    for at in (1, 199):
-        assert highest(lobe(at=at)).is_usable
-    # A range of +-1 s around 0.5 s has the lags from -0.5 to 1.5 s.
-    assert "at the limit" in highest(lobe(at=175), search_s=1.0, around_s=0.5).problem
-    assert "at the limit" in highest(lobe(at=76), search_s=1.0, around_s=0.51).problem
-    near = highest(lobe(at=174), search_s=1.0, around_s=0.5)
-    assert near.is_usable
-
-
-def test_short_overlaps_do_not_count() -> None:
-    common = np.full(201, 499.0)
-    assert "no offset within 5 s around 0 s" in highest(lobe(), common=common).problem
-    assert highest(lobe(), common=common).overlap_s == pytest.approx(9.98)
-    common[99:102] = 500.0  # 10 s
-    assert highest(lobe(), common=common).is_usable
-    common[101] = 499.0
-    assert "common time span" in highest(lobe(), common=common).problem
-    # Over all lags, half of the longest overlap is needed.
-    common = np.full(201, 1999.0)
-    common[90:111] = 4000.0
-    assert highest(lobe(at=150), common=common, search_s=None).offset_s < 0.3
-    common[120:] = 2000.0
-    assert highest(lobe(at=150), common=common, search_s=None).offset_s == pytest.approx(1.0)
-
-
 def test_offsets_of_flights_are_found_by_both_rates() -> None:
     truth, estimate, _ = flown()
     for signal in ("angular rate", "speed"):
-        found = guess_offset_by(truth, estimate, 0.0, 5.0, signal)
-        assert found.signal == signal
-        assert found.offset_s == pytest.approx(FAULT.offset_s, abs=0.02)
-        assert found.peak > (0.99 if signal == "angular rate" else 0.5)
+        result = guess_offset_by(truth, estimate, 0.0, 5.0, signal)
+        assert result.signal == signal
+        assert result.offset_s == pytest.approx(FAULT.offset_s, abs=0.02)
+        assert result.peak > (0.99 if signal == "angular rate" else 0.5)
     assert guess_offset(truth, estimate).signal == "angular rate"
     bare = dataclasses.replace(truth, quaternions=None)
     assert guess_offset(bare, estimate).signal == "speed"

@@ -7,18 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_flights import Fault, fly
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from strategies import seeds
 
 from trajeval_ros import simulate
 from trajeval_ros.calibration import significance
 from trajeval_ros.calibration.apply import evaluate_calibrated
 from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
-from trajeval_ros.calibration.increments import COLUMNS, POSITION, ROTATION, Increments
-from trajeval_ros.calibration.robust_fit import fit, huber_cost
+from trajeval_ros.calibration.increments import COLUMNS, Increments
+from trajeval_ros.calibration.robust_fit import fit
 from trajeval_ros.calibration.significance import chance_of
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -62,9 +59,9 @@ def test_a_marker_that_flips_is_judged(axis: int, seed: int) -> None:
         late[:, None], (groundtruth.rotations * flip).as_quat(), groundtruth.quaternions
     )
     flipping = dataclasses.replace(groundtruth, quaternions=turned)
-    found = calibrate(flipping, flight.estimate, "yaw")
-    assert found.offset.reason
-    assert found.turn.reason
+    result = calibrate(flipping, flight.estimate, "yaw")
+    assert result.offset.reason
+    assert result.turn.reason
 
 
 def test_a_fit_without_free_directions_stays_at_its_start() -> None:
@@ -85,21 +82,21 @@ def test_a_fit_without_free_directions_stays_at_its_start() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
     truth, estimate = fly(axis, 60.0)
-    found = evaluate_calibrated(truth, mirrored(estimate, axis), YAW, AUTO)
-    assert found.calibration is not None
-    turn = found.calibration.turn
+    result = evaluate_calibrated(truth, mirrored(estimate, axis), YAW, AUTO)
+    assert result.calibration is not None
+    turn = result.calibration.turn
     assert turn.chance is not None
     assert turn.chance < 1e-6  # by all rows together it would be there
     assert turn.value is not None
     assert np.degrees(np.linalg.norm(turn.value)) > 170.0
     assert turn.status == "insignificant"
     assert turn.reason == significance.POSITIONS_WORSE
-    assert found.hand_eye is None
-    assert not found.offset_applied
-    assert found.after == found.before
+    assert result.hand_eye is None
+    assert not result.offset_applied
+    assert result.after == result.before
     (line,) = (
         calibration_line
-        for calibration_line in calibration_lines("", found)
+        for calibration_line in calibration_lines("", result)
         if "body rotation" in calibration_line
     )
     assert "not significant, not applied; it reduces the rotation error" in line
@@ -130,28 +127,6 @@ def test_a_rotation_that_both_kinds_of_rows_show_is_kept(kind: str, seed: int) -
     np.testing.assert_allclose(turn.value, vector, atol=np.radians(1.0))
 
 
-@given(seeds, st.sampled_from([POSITION, ROTATION]), st.floats(1.0, 1e3))
-def test_hubers_cost_is_quadratic_within_and_linear_beyond(
-    seed: int, kind: slice, far: float
-) -> None:
-    random = np.random.default_rng(seed)
-    residual = random.normal(size=(50, 6))
-    lengths = np.linalg.norm(residual[:, kind], axis=1)
-    bound = 2.5 * np.median(lengths) / 1.5382
-    within = residual * (0.9 * bound / lengths.max())
-    assert huber_cost(within, residual, kind) == pytest.approx(
-        np.mean((0.9 * bound * lengths / lengths.max()) ** 2) / 2.0
-    )
-    beyond = residual * (bound * far / lengths)[:, None]
-    assert huber_cost(beyond, residual, kind) == pytest.approx(bound**2 * (far - 0.5))
-
-
-def test_what_is_all_zero_costs_the_finest_spread() -> None:
-    nothing = np.zeros((5, 6))
-    assert huber_cost(nothing, nothing, POSITION) == pytest.approx(1e-12)
-    assert huber_cost(nothing, nothing, ROTATION) == pytest.approx(1e-14)
-
-
 def test_chance_is_that_of_hotellings_test() -> None:
     """With one component it is Student's t, both sides; of normal values, uniform."""
     from scipy.stats import t
@@ -161,18 +136,18 @@ def test_chance_is_that_of_hotellings_test() -> None:
 
 def test_a_position_ate_that_grows_is_explained() -> None:
     truth, estimate = fly(1, 60.0, fault=Fault(offset_s=0.1))
-    found = evaluate_calibrated(truth, estimate, YAW, AUTO)
-    assert found.offset_applied
-    assert found.before is not None
-    smaller = dataclasses.replace(found.before, position_m=found.after.position_m / 1.04)
-    grown = dataclasses.replace(found, before=smaller, lever_applied=False)
+    result = evaluate_calibrated(truth, estimate, YAW, AUTO)
+    assert result.offset_applied
+    assert result.before is not None
+    smaller = dataclasses.replace(result.before, position_m=result.after.position_m / 1.04)
+    grown = dataclasses.replace(result, before=smaller, lever_applied=False)
     assert "the position ATE increases by 4 %" in calibration_lines("", grown)[-1]
     assert "with the lever arm" not in calibration_lines("", grown)[-1]
-    anyway = dataclasses.replace(found.after, position_m=0.9 * smaller.position_m)
+    anyway = dataclasses.replace(result.after, position_m=0.9 * smaller.position_m)
     better = dataclasses.replace(grown, if_applied=anyway)
     assert f"it is {anyway.position_m:.4g} m" in calibration_lines("", better)[-1]
     for unchanged in (
-        dataclasses.replace(grown, before=found.after),
+        dataclasses.replace(grown, before=result.after),
         dataclasses.replace(grown, offset_applied=False, rotation_applied=False),
     ):
         assert "grows" not in "".join(calibration_lines("", unchanged))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from scipy.stats import multivariate_normal
 from solved_process import solved
 from strategies import seeds
 
-from trajeval_ros.continuous_time import kernels, markov, white_noise
+from trajeval_ros.continuous_time import white_noise
 from trajeval_ros.continuous_time.kernels import (
     MATERN_32,
     MATERN_52,
@@ -58,14 +57,14 @@ def test_interpolation_is_the_conditional_gaussian(order: int, step: float, shar
     since = share * step
     one = [np.array([item]) for item in (since, step - since, step)]
     before, after, whole = (white_noise.transition(order, item)[0] for item in one)
-    own, rest, total = (white_noise.covariance(order, item)[0] for item in one)
-    np.testing.assert_allclose(after @ own @ after.T + rest, total, rtol=1e-10, atol=1e-12)
+    estimated, rest, total = (white_noise.covariance(order, item)[0] for item in one)
+    np.testing.assert_allclose(after @ estimated @ after.T + rest, total, rtol=1e-10, atol=1e-12)
     # The joint covariance of the states at `since` and `step`, given the first one.
-    gain = own @ after.T @ np.linalg.inv(total)
+    gain = estimated @ after.T @ np.linalg.inv(total)
     by_first, by_second, spread = white_noise.interpolation(order, one[2], one[0])
     np.testing.assert_allclose(by_second[0], gain[0], rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(by_first[0], (before - gain @ whole)[0], rtol=1e-7, atol=1e-9)
-    expected = (own - gain @ after @ own)[0, 0]
+    expected = (estimated - gain @ after @ estimated)[0, 0]
     assert spread[0] == pytest.approx(expected, rel=1e-6, abs=1e-12 * total[0, 0])
 
 
@@ -75,8 +74,8 @@ def test_axes_are_kronecker_products(order: int, dimension: int) -> None:
     generator = np.random.default_rng(order)
     matrices = generator.normal(size=(4, order, order))
     axes = generator.uniform(0.5, 2.0, size=dimension)
-    found = white_noise.spread_over_axes(matrices, axes)
-    for matrix, product in zip(matrices, found, strict=True):
+    result = white_noise.spread_over_axes(matrices, axes)
+    for matrix, product in zip(matrices, result, strict=True):
         np.testing.assert_array_equal(product, np.kron(matrix, np.diag(axes)))
 
 
@@ -97,8 +96,8 @@ def test_kernels_are_those_of_bessel_functions(kernel: Kernel, order: float) -> 
         np.testing.assert_allclose(kernel.between(sign * lags, length), expected, rtol=1e-12)
     assert kernel.between(np.zeros(1), length)[0] == 1.0
     longer, shorter = (kernel.between(lags, length * math.exp(step)) for step in (1e-5, -1e-5))
-    found = kernel.by_log_length(-lags, length)
-    np.testing.assert_allclose(found, (longer - shorter) / 2e-5, rtol=1e-7, atol=1e-9)
+    result = kernel.by_log_length(-lags, length)
+    np.testing.assert_allclose(result, (longer - shorter) / 2e-5, rtol=1e-7, atol=1e-9)
 
 
 @given(seed=seeds, axes=st.integers(1, 3))
@@ -128,10 +127,10 @@ def test_hyperparameters_of_many_segments_are_a_maximum() -> None:
     covariance = 0.6**2 * MATERN_32.between(times[0, :, None] - times[0], 0.4)
     root = np.linalg.cholesky(covariance + noise**2 * np.eye(8))
     targets = root @ generator.normal(size=(segments, 8, 3))
-    _, found = most_likely((MATERN_32,), times, targets, noise, 0.1)
-    assert found.noise == noise
+    _, result = most_likely((MATERN_32,), times, targets, noise, 0.1)
+    assert result.noise == noise
     some = np.unique(np.linspace(0, 149, 100).astype(int))
-    at = np.log([found.sigma, found.length, found.noise])
+    at = np.log([result.sigma, result.length, result.noise])
     lags = times[some, :, None] - times[some, None, :]
     best, gradient = negative_log_likelihood(MATERN_32, lags, targets[some], at)
     # The optimiser stops at a relative change of 2e-9 of the value.
@@ -141,21 +140,6 @@ def test_hyperparameters_of_many_segments_are_a_maximum() -> None:
             assert negative_log_likelihood(MATERN_32, lags, targets[some], at + sign * step)[0] > (
                 best
             )
-
-
-def test_an_impossible_covariance_has_no_likelihood() -> None:
-    lags = np.zeros((1, 3, 3))
-    at = np.array([0.0, 0.0, -500.0])
-    value, gradient = negative_log_likelihood(MATERN_52, lags, np.ones((1, 3, 1)), at)
-    assert value > 1e20
-    assert not gradient.any()
-
-
-def test_an_amplitude_is_not_below_the_noise() -> None:
-    times = np.tile(0.1 * np.arange(10.0), (20, 1))
-    still = 1e-9 * np.random.default_rng(0).normal(size=(20, 10, 3))
-    _, found = most_likely((MATERN_52,), times, still, 0.01, 0.1)
-    assert found.sigma == pytest.approx(0.01)
 
 
 def _random_states(generator: np.random.Generator, manifold: Manifold, count: int) -> Array:
@@ -274,11 +258,11 @@ def test_a_carried_state_is_a_derivative(manifold: Manifold, order: int, since_s
         powers = [since_s, since_s**2 / 2.0][: order - 1]
         return manifold.plus(state, np.einsum("k,kd->d", powers, rates)[None])
 
-    found = process.carried(knots, np.array([since_s]))[0]
+    result = process.carried(knots, np.array([since_s]))[0]
     for column, step in enumerate(1e-5 * np.eye(3 * order)):
         change = manifold.between(at(-step), at(step))[0] / 2e-5
         # To second order in the step along its own path, symmetric differences are exact.
-        np.testing.assert_allclose(found[:, column], change, atol=1e-7)
+        np.testing.assert_allclose(result[:, column], change, atol=1e-7)
 
 
 def test_differences_of_a_parabola_are_its_velocity() -> None:
@@ -293,46 +277,6 @@ def test_differences_of_a_parabola_are_its_velocity() -> None:
     for row, step in ((0, 0), (-1, -1)):
         difference = np.diff(positions, axis=0)[step] / np.diff(times)[step]
         np.testing.assert_allclose(velocity[row], difference, rtol=1e-12)
-
-
-def test_a_singular_process_has_ten_times_the_density(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = Process.solved
-
-    def only_above(process: Process, *given: Any) -> Process:
-        if process.density[0] < 50.0:
-            raise np.linalg.LinAlgError
-        return real(process, *given)
-
-    monkeypatch.setattr(Process, "solved", only_above)
-    times = np.arange(5.0)
-    process = Process.unsolved(Positions(), 2, times, np.zeros((5, 3)), 0.1)
-    assert process._solved_with_digits().density.tolist() == [100.0] * 3
-
-
-@pytest.mark.parametrize("order", [2, 3])
-@pytest.mark.parametrize(
-    ("step_s", "count", "span_s"), [(0.1, 60, 2.0), (0.5, 60, 5.0), (0.1, 11, 1.0)]
-)
-def test_the_least_density_is_that_of_the_noise(
-    order: int, step_s: float, count: int, span_s: float
-) -> None:
-    """At rest, the noise of the samples is reached within two seconds or ten steps."""
-    times = step_s * np.arange(float(count))
-    process = Process.fit(Positions(), order, times, np.zeros((count, 3)), 0.03)
-    # A bounded search stops within a few of its tolerances of 0.003 of the limit.
-    least = 0.03**2 / span_s ** (2 * order - 1)
-    np.testing.assert_allclose(process.density, least, rtol=0.03)
-
-
-def test_a_density_is_that_of_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
-    generator = np.random.default_rng(3)
-    times = 0.1 * np.arange(61.0)
-    sizes = np.repeat([1.0, 0.02, 1.0], [20, 21, 20])
-    walk = np.cumsum(np.cumsum(sizes[:, None] * generator.normal(size=(61, 3)), axis=0), axis=0)
-    monkeypatch.setattr(markov, "_MOST_KNOTS", 21)
-    found = Process.fit(Positions(), 2, times, walk, 0.01).density[0]
-    alone = Process.fit(Positions(), 2, times[20:41], walk[20:41], 0.01).density[0]
-    assert found == pytest.approx(alone, rel=0.02)  # twice the tolerance of both searches
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -355,46 +299,3 @@ def test_a_knot_without_a_sample_leaves_the_likelihood(order: int) -> None:
     ).solved()
     assert between.log_likelihood() == pytest.approx(alone.log_likelihood(), rel=1e-9)
     np.testing.assert_allclose(between.states[rows], alone.states, atol=1e-9)
-
-
-@pytest.mark.parametrize("sign", [-1.0, 0.0, 1.0])
-def test_the_search_for_hyperparameters_has_starts_and_limits(
-    monkeypatch: pytest.MonkeyPatch, sign: float
-) -> None:
-    """With a cost of no slope it stays at its starts, with a linear one it ends at its limits."""
-    calls: list[tuple[int, list[float]]] = []
-
-    def linear(_: Kernel, lags: Array, targets: Array, at: Array) -> tuple[float, Array]:
-        assert len(lags) == len(targets)
-        calls.append((len(lags), np.exp(at).tolist()))
-        return sign * float(at.sum()), np.full(3, sign)
-
-    monkeypatch.setattr(kernels, "negative_log_likelihood", linear)
-    times = np.arange(150.0)[:, None] + 0.1 * np.arange(5.0)
-    targets = np.random.default_rng(0).normal(size=(150, 5, 3))
-    targets[[0, -1]] *= 3.0  # the first and the last segment are among the hundred
-    some = np.unique(np.linspace(0, 149, 100).astype(int))
-    spread = float(targets[some].std())
-    _, found = most_likely((MATERN_52,), times, targets, 0.05, 0.1)
-    assert {count for count, _ in calls} == {100}
-    starts = [call for call in calls if call[1][0] == pytest.approx(spread)]
-    lengths = {round(start[1][1], 6) for start in starts}
-    assert {0.2, 0.6} <= lengths
-    if sign < 0.0:
-        assert found.sigma == pytest.approx(spread * math.exp(8.0), rel=1e-6)
-        assert found.length == pytest.approx(200.0 * 0.1 + 10.0, rel=1e-6)
-    if sign > 0.0:
-        assert found.sigma == pytest.approx(max(spread * math.exp(-4.0), 0.05), rel=1e-6)
-        assert found.length == pytest.approx(0.3 * 0.1, rel=1e-6)
-        _, found = most_likely((MATERN_52,), times, targets, 1e-6, 0.1)
-        assert found.sigma == pytest.approx(spread * math.exp(-4.0), rel=1e-6)
-
-
-def test_the_most_likely_kernel_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
-    costs = {MATERN_32: 2.0, MATERN_52: 1.0, SQUARED_EXPONENTIAL: 3.0}
-    monkeypatch.setattr(
-        kernels, "negative_log_likelihood", lambda kernel, *_: (costs[kernel], np.zeros(3))
-    )
-    times = np.tile(np.arange(4.0), (2, 1))
-    found, _ = most_likely(tuple(costs), times, np.ones((2, 4, 3)), 0.1, 1.0)
-    assert found is MATERN_52

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,31 +10,18 @@ from groundtruth_samples import samples_at
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.continuous_time import continuous_trajectory
 from trajeval_ros.continuous_time.continuous_trajectory import (
     LinearInterpolation,
     MarkovPoses,
     NearestSample,
     fit_trajectory,
 )
-from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.continuous_time.samples import Noise, Samples
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
-
-
-def test_samples_have_gaps_of_three_median_steps() -> None:
-    samples = samples_at(np.array([0.0, 1.0, 2.0, 5.0, 6.0, 9.001, 10.0]))
-    assert samples.usual_step_s == pytest.approx(1.0)
-    assert samples.gaps.tolist() == [4]
-
-
-def test_turns_of_steps_are_angles() -> None:
-    turns = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.3, 0.0, 0.0], [-0.2, 0.0, 0.0]])
-    found = samples_at(np.arange(4.0), turns=turns).step_turns()
-    np.testing.assert_allclose(found, [0.3, 0.0, 0.5], atol=1e-14)
 
 
 def of_stamps(seconds: Array, positions: Array, turns: Array | None = None) -> Trajectory:
@@ -76,17 +60,6 @@ def test_samples_of_two_poses_are_enough() -> None:
         Samples.of(near, Noise())
 
 
-@pytest.mark.parametrize("wrong", [0.0, -1.0, math.inf, math.nan])
-def test_noise_must_be_positive_and_finite(wrong: float) -> None:
-    for both in ((wrong, 0.1), (0.1, wrong)):
-        with pytest.raises(SettingsError, match="greater than zero"):
-            Noise(*both)
-    assert Noise().position_m == 0.002
-    assert math.degrees(Noise().rotation_rad) == pytest.approx(0.1)
-    assert Noise(1.0, 2.0).per_axis(True) == (1.0, 2.0)
-    assert Noise(1.0, 2.0).per_axis(False) == (1.0,)
-
-
 def test_simple_rules_between_two_samples() -> None:
     turns = np.outer([0.0, 0.4, 0.4], [0.0, 0.0, 1.0])
     samples = samples_at(np.array([0.0, 2.0, 3.0]), np.outer([0, 4, 10], [1.0, 0, 0]), turns)
@@ -116,91 +89,3 @@ def test_the_span_of_samples_includes_its_ends() -> None:
     jerk = fit_trajectory(of_stamps(seconds, np.outer(seconds, [1.0, 0, 0])), "wnoj")
     assert jerk.markov is jerk.poses
     assert jerk.markov.positions.process.order == 3
-
-
-@pytest.mark.parametrize(
-    ("count", "step_m", "turn_rad", "said"),
-    [
-        (9, 1.0, 0.0, ["too few"]),
-        (10, 1.0, 0.0, []),
-        (10, 1e-4, 1e-4, ["moves less than its noise"]),
-        (10, 1e-4, 0.05, []),
-        (10, 1.0, 2.01, ["differ by more than 115 deg at 9 places"]),
-        (10, 1.0, 1.99, []),
-    ],
-)
-def test_statements_have_their_limits(
-    count: int, step_m: float, turn_rad: float, said: list[str]
-) -> None:
-    at = np.arange(float(count))
-    turns = np.zeros((count, 3))
-    turns[:, 2] = turn_rad * (np.arange(count) % 2)
-    motion = of_stamps(at, np.outer(at, [step_m, 0, 0]), turns)
-    found = fit_trajectory(motion, "linear", Noise(0.002, 0.002)).statements
-    assert len(found) == len(said)
-    assert all(part in item for part, item in zip(said, found, strict=True))
-
-
-@pytest.mark.parametrize("oriented", [True, False])
-def test_auto_is_the_candidate_of_the_largest_held_out_likelihood(
-    monkeypatch: pytest.MonkeyPatch, oriented: bool
-) -> None:
-    """Candidates that differ in their covariances; the best one is that of the actual errors."""
-    generator = np.random.default_rng(5)
-    seconds = np.arange(240.0)
-    noise = Noise(0.05, 0.02)
-    positions = generator.normal(scale=0.05, size=(240, 3))
-    turns = generator.normal(scale=0.02, size=(240, 3))
-
-    class Constant:
-        """The mean at rest, with a covariance."""
-
-        def __init__(self, factor: float) -> None:
-            self.factor = factor
-
-        def at(self, times: Array) -> Belief:
-            spread = np.diag(np.repeat([0.05**2, 0.02**2], 3)) * self.factor
-            return Belief(
-                np.tile(np.eye(4), (len(times), 1, 1)), np.tile(spread, (len(times), 1, 1))
-            )
-
-    # Independent errors of samples add their noise: the likelihood is largest without more.
-    factors = {"matern": 1.0, "wnoa": 1e-6, "wnoj": 10.0}
-    fits = {name: lambda _, f=f: Constant(f) for name, f in factors.items()}
-    monkeypatch.setattr(continuous_trajectory, "_FITS", {**continuous_trajectory._FITS, **fits})
-    samples = Samples.of(of_stamps(seconds, positions, turns if oriented else None), noise)
-    assert continuous_trajectory._most_predictive(samples) == "wnoa"
-    few = samples[np.arange(7)]
-    assert continuous_trajectory._most_predictive(few) == "matern"
-
-
-@pytest.mark.parametrize(
-    ("most", "middle", "held"),
-    [
-        (3000, range(30), [2, 6, 10, 14, 18, 22, 26]),
-        (14, range(8, 22), [10, 14, 18]),
-        (13, range(8, 21), [10, 14, 18]),
-    ],
-)
-def test_held_out_samples_are_between_others(
-    monkeypatch: pytest.MonkeyPatch, most: int, middle: range, held: list[int]
-) -> None:
-    calls: list[tuple[list[float], list[float]]] = []
-
-    def candidate(samples: Samples) -> Any:
-        def at(times: Array) -> Belief:
-            calls.append((samples.times.tolist(), times.tolist()))
-            spread = np.tile(np.eye(6), (len(times), 1, 1))
-            return Belief(np.tile(np.eye(4), (len(times), 1, 1)), spread)
-
-        return SimpleNamespace(at=at)
-
-    names = ("matern", "wnoa", "wnoj")
-    fits = {**continuous_trajectory._FITS, **dict.fromkeys(names, candidate)}
-    monkeypatch.setattr(continuous_trajectory, "_FITS", fits)
-    monkeypatch.setattr(continuous_trajectory, "_MOST_HELD_OUT", most)
-    continuous_trajectory._most_predictive(samples_at(np.arange(30.0)))
-    assert len(calls) == 3
-    for kept, asked in calls:
-        assert asked == held
-        assert kept == [item for item in middle if item not in held]

@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth
 
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import array_input, lie
-from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.frame_axes import upright, with_body_axes, with_world_axes
-from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.marker import HandEye, at_arms
 from trajeval_ros.geometry.pose_conventions import Conventions
 from trajeval_ros.geometry.reading import SourceInfo
@@ -42,19 +39,6 @@ def matrices_of(trajectory: Trajectory) -> Array:
     return np.asarray(trajectory.rotations.as_matrix())
 
 
-@pytest.mark.parametrize("rows", [3, 4])
-def test_matrices_are_split_into_positions_and_rotations(rows: int) -> None:
-    truth = states()
-    poses = np.zeros((6, 4, 4))
-    poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = matrices_of(truth), truth.positions, 1.0
-    places, turns = array_input.split_matrices(poses[:, :rows])
-    np.testing.assert_array_equal(places, truth.positions)
-    apart = Rotation.from_quat(turns).as_matrix() - matrices_of(truth)
-    np.testing.assert_allclose(apart, 0.0, atol=1e-14)
-    found = Trajectory.from_matrices(poses[:, :rows], stamps=truth.stamps)
-    np.testing.assert_array_equal(found.stamps, truth.stamps)
-
-
 class Table:
     """A part of the interface of a table."""
 
@@ -74,21 +58,21 @@ def test_tables_have_times_in_a_column_or_the_index() -> None:
     places = {"X": [1.0, 2.0], "y": [3.0, 4.0], "Z": [5.0, 6.0]}
     turns = {name: [0.0, 0.0] for name in ("qx", "qy", "qz")} | {"qw": [1.0, 1.0]}
     ordinal = np.arange(2)
-    found = array_input.columns_of_frame(Table(places, ordinal))
-    np.testing.assert_array_equal(found["positions"], [[1, 3, 5], [2, 4, 6]])
-    assert found["quaternions"] is None
-    assert {"stamps", "seconds"} & found.keys() == set()
-    found = array_input.columns_of_frame(Table({**places, **turns}, ordinal + 10**13))
-    np.testing.assert_array_equal(found["quaternions"], [IDENTITY, IDENTITY])
-    assert found["stamps"].tolist() == [10**13, 10**13 + 1]
+    result = array_input.columns_of_frame(Table(places, ordinal))
+    np.testing.assert_array_equal(result["positions"], [[1, 3, 5], [2, 4, 6]])
+    assert result["quaternions"] is None
+    assert {"stamps", "seconds"} & result.keys() == set()
+    result = array_input.columns_of_frame(Table({**places, **turns}, ordinal + 10**13))
+    np.testing.assert_array_equal(result["quaternions"], [IDENTITY, IDENTITY])
+    assert result["stamps"].tolist() == [10**13, 10**13 + 1]
     assert "stamps" not in array_input.columns_of_frame(Table(places, ordinal + 10**12 - 1))
-    found = array_input.columns_of_frame(Table({**places, "Time": ordinal}, ordinal))
-    assert found["stamps"].tolist() == [0, 1]
-    found = array_input.columns_of_frame(Table({**places, "t": [0.5, 1.5]}, ordinal))
-    assert found["seconds"].tolist() == [0.5, 1.5]
+    result = array_input.columns_of_frame(Table({**places, "Time": ordinal}, ordinal))
+    assert result["stamps"].tolist() == [0, 1]
+    result = array_input.columns_of_frame(Table({**places, "t": [0.5, 1.5]}, ordinal))
+    assert result["seconds"].tolist() == [0.5, 1.5]
     dates = np.array(["1970-01-01T00:00:01", "1970-01-01T00:00:02"], dtype="datetime64[s]")
-    found = array_input.columns_of_frame(Table(places, dates))
-    assert found["stamps"].tolist() == [SECOND, 2 * SECOND]
+    result = array_input.columns_of_frame(Table(places, dates))
+    assert result["stamps"].tolist() == [SECOND, 2 * SECOND]
     with pytest.raises(InputError, match="name the positions x, y and z"):
         array_input.columns_of_frame(Table({"x": [1.0], "y": [2.0]}, ordinal))
     del turns["qw"]
@@ -98,25 +82,17 @@ def test_tables_have_times_in_a_column_or_the_index() -> None:
 
 def test_units_scale_positions_velocities_and_covariances() -> None:
     truth = states()
-    found = Conventions(scale=0.5).corrected(truth)
-    np.testing.assert_array_equal(found.positions, 0.5 * truth.positions)
-    assert found.velocities is not None
+    result = Conventions(scale=0.5).corrected(truth)
+    np.testing.assert_array_equal(result.positions, 0.5 * truth.positions)
+    assert result.velocities is not None
     assert truth.velocities is not None
-    np.testing.assert_array_equal(found.velocities, 0.5 * truth.velocities)
+    np.testing.assert_array_equal(result.velocities, 0.5 * truth.velocities)
     units = np.diag([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
-    assert found.covariances is not None
+    assert result.covariances is not None
     assert truth.covariances is not None
-    np.testing.assert_allclose(found.covariances, units @ truth.covariances @ units)
-    assert "multiplied by 0.5" in found.reading.remarks[-1].text
+    np.testing.assert_allclose(result.covariances, units @ truth.covariances @ units)
+    assert "multiplied by 0.5" in result.reading.remarks[-1].text
     assert Conventions().corrected(truth) is truth
-
-
-def test_quaternions_that_were_w_first() -> None:
-    truth = states()
-    found = Conventions(quaternion_order="wxyz").corrected(truth)
-    assert found.quaternions is not None
-    assert truth.quaternions is not None
-    np.testing.assert_array_equal(found.quaternions, np.roll(truth.quaternions, -1, axis=1))
 
 
 @pytest.mark.parametrize("axes", ["y,z,x", "-x,-y,z", "x,-y,z"])
@@ -129,28 +105,28 @@ def test_axes_of_positions_and_rotations(axes: str, of: str) -> None:
     flipped = np.linalg.det(matrix) < 0.0
     if flipped and of == "rotations=":
         return
-    found = Conventions(axes=of + axes).corrected(truth)
+    result = Conventions(axes=of + axes).corrected(truth)
     moved = np.eye(3) if of == "rotations=" else matrix
-    np.testing.assert_allclose(found.positions, truth.positions @ moved.T)
-    assert found.velocities is not None
+    np.testing.assert_allclose(result.positions, truth.positions @ moved.T)
+    assert result.velocities is not None
     assert truth.velocities is not None
-    np.testing.assert_allclose(found.velocities, truth.velocities @ moved.T)
+    np.testing.assert_allclose(result.velocities, truth.velocities @ moved.T)
     turned = np.eye(3) if of == "positions=" else matrix
     expected = turned @ matrices_of(truth)
     if flipped and of != "positions=":
         expected = expected @ turned.T
-    np.testing.assert_allclose(matrices_of(found), expected, atol=1e-14)
-    assert found.covariances is None
+    np.testing.assert_allclose(matrices_of(result), expected, atol=1e-14)
+    assert result.covariances is None
 
 
 def test_inverse_poses_are_those_of_the_world_in_the_body() -> None:
     truth = states()
-    found = Conventions(inverse="poses").corrected(truth)
+    result = Conventions(inverse="poses").corrected(truth)
     rotations = matrices_of(truth)
     np.testing.assert_allclose(
-        found.positions, -np.einsum("nji,nj->ni", rotations, truth.positions), atol=1e-12
+        result.positions, -np.einsum("nji,nj->ni", rotations, truth.positions), atol=1e-12
     )
-    np.testing.assert_allclose(matrices_of(found), np.swapaxes(rotations, 1, 2), atol=1e-14)
+    np.testing.assert_allclose(matrices_of(result), np.swapaxes(rotations, 1, 2), atol=1e-14)
     only = Conventions(inverse="rotations").corrected(truth)
     np.testing.assert_array_equal(only.positions, truth.positions)
     np.testing.assert_allclose(matrices_of(only), np.swapaxes(rotations, 1, 2), atol=1e-14)
@@ -165,8 +141,8 @@ def test_what_a_convention_needs() -> None:
     with pytest.raises(InputError, match="no timestamps, which a clock rate needs"):
         Conventions(clock_rate=10.0).corrected(unstamped)
     late = dataclasses.replace(points, stamps=np.array([5, 3, 4]) * SECOND)
-    found = Conventions(clock_rate=100.0).corrected(late)
-    assert (found.stamps - late.stamps).tolist() == [200_000, 0, 100_000]
+    result = Conventions(clock_rate=100.0).corrected(late)
+    assert (result.stamps - late.stamps).tolist() == [200_000, 0, 100_000]
 
 
 def test_a_marker_moves_covariances_and_names() -> None:
@@ -212,63 +188,15 @@ def test_inverse_transforms_are_known_by_their_names(
     HandEye(IDENTITY, np.zeros(3), "imu", "imu").require_frames(*sides)
 
 
-def test_axes_of_bodies_and_worlds() -> None:
-    truth = states()
-    # The rows are right, down and ahead in ROS axes.
-    optical = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    body = with_body_axes(truth, "optical")
-    np.testing.assert_allclose(matrices_of(body), matrices_of(truth) @ optical.T, atol=1e-14)
-    np.testing.assert_array_equal(body.positions, truth.positions)
-    world = with_world_axes(truth, "optical")
-    np.testing.assert_array_equal(world.positions, truth.positions @ optical.T)
-    np.testing.assert_allclose(matrices_of(world), optical @ matrices_of(truth), atol=1e-14)
-    with pytest.raises(InputError, match="no orientations"):
-        with_body_axes(dataclasses.replace(truth, quaternions=None), "ros")
-    files = SourceInfo(matrices=matrices_of(truth))
-    turned = upright(dataclasses.replace(truth, up=UpAxis("-y"), reading=files))
-    assert turned.reading.matrices is not None
-    np.testing.assert_allclose(turned.reading.matrices, matrices_of(turned), atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("frame", "axis", "given"),
-    [
-        ("camera_optical", "-y", False), ("cam0_optical_frame", "-y", False),
-        ("optical_map", "z", False), ("", "z", False),
-    ],
-)  # fmt: skip
-def test_optical_frames_have_minus_y_up(frame: str, axis: str, given: bool) -> None:
-    found = UpAxis.of_frame(frame)
-    assert (found.name, found.is_given) == (axis, given)
-    assert UpAxis("x").is_given
-    assert str(UpAxis("x")) == "x (given)"
-    assert [UpAxis(name).index for name in ("x", "-y", "z")] == [0, 1, 2]
-
-
-@pytest.mark.parametrize(
-    ("place", "valid"),
-    [
-        ((90.0, -180.0, 1e6), True), ((-90.0, 360.0, -1e6), True), ((90.01, 0.0, 0.0), False),
-        ((0.0, -180.1, 0.0), False), ((0.0, 360.1, 0.0), False), ((0.0, 0.0, 1.1e6), False),
-    ],
-)  # fmt: skip
-def test_datums_have_their_limits(place: tuple[float, float, float], valid: bool) -> None:
-    if valid:
-        assert Datum(*place).coordinates.tolist() == list(place)
-    else:
-        with pytest.raises(SettingsError, match="out of range"):
-            Datum(*place)
-
-
 @pytest.mark.parametrize(("plane", "normal"), [("xy", 2), ("xz", 1), ("yz", 0)])
 def test_projections_keep_the_turn_about_the_normal(plane: str, normal: int) -> None:
     truth = states()
-    found = flattened(truth, plane)
+    result = flattened(truth, plane)
     kept = [axis for axis in range(3) if axis != normal]
-    np.testing.assert_array_equal(found.positions[:, kept], truth.positions[:, kept])
-    assert not found.positions[:, normal].any()
-    assert found.velocities is not None
-    assert not found.velocities[:, normal].any()
+    np.testing.assert_array_equal(result.positions[:, kept], truth.positions[:, kept])
+    assert not result.positions[:, normal].any()
+    assert result.velocities is not None
+    assert not result.velocities[:, normal].any()
     angles = np.linspace(-3.0, 3.0, 6)
     axis = np.eye(3)[normal]
     turns = Rotation.from_rotvec(np.outer(angles, axis)).as_quat()
@@ -292,9 +220,27 @@ def test_merging_needs_times_and_one_vertical_axis() -> None:
     assert bare.quaternions is not None
 
 
-def test_fixes_that_are_unusable_are_told_with_their_source() -> None:
-    quality = np.zeros((2, 11))
-    quality[:, 0] = -1.0
-    with pytest.raises(InputError, match=r"^/fix: no usable fix among 2 \(2 no fix\)"):
-        trajectory_of_rows("/fix", np.arange(2), np.ones((2, 3)), quality, SourceInfo())
-    assert len(InertialReadings(np.arange(3), np.zeros((3, 3)), None)) == 3
+def test_quaternions_that_were_w_first() -> None:
+    truth = states()
+    result = Conventions(quaternion_order="wxyz").corrected(truth)
+    assert result.quaternions is not None
+    assert truth.quaternions is not None
+    np.testing.assert_array_equal(result.quaternions, np.roll(truth.quaternions, -1, axis=1))
+
+
+def test_axes_of_bodies_and_worlds() -> None:
+    truth = states()
+    # The rows are right, down and ahead in ROS axes.
+    optical = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    body = with_body_axes(truth, "optical")
+    np.testing.assert_allclose(matrices_of(body), matrices_of(truth) @ optical.T, atol=1e-14)
+    np.testing.assert_array_equal(body.positions, truth.positions)
+    world = with_world_axes(truth, "optical")
+    np.testing.assert_array_equal(world.positions, truth.positions @ optical.T)
+    np.testing.assert_allclose(matrices_of(world), optical @ matrices_of(truth), atol=1e-14)
+    with pytest.raises(InputError, match="no orientations"):
+        with_body_axes(dataclasses.replace(truth, quaternions=None), "ros")
+    files = SourceInfo(matrices=matrices_of(truth))
+    turned = upright(dataclasses.replace(truth, up=UpAxis("-y"), reading=files))
+    assert turned.reading.matrices is not None
+    np.testing.assert_allclose(turned.reading.matrices, matrices_of(turned), atol=1e-14)

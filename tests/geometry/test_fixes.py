@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.geometry.fix_selection import FixRule, fix_trajectory, fixes_of_rows
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.fixes import Fixes, quality_of
-from trajeval_ros.geometry.geodesy import Datum
-
-SECOND = 1_000_000_000
 
 
 def fixes(**changed: Any) -> Fixes:
@@ -38,9 +34,9 @@ def test_fixes_have_standard_deviations_if_known() -> None:
     )
     np.testing.assert_allclose(correlated.sigma_level_m, np.sqrt(3.0))
     np.testing.assert_allclose(correlated.sigma_up_m, 3.0)
-    said = quality_of(some)
-    assert "1 of status 0, 1 of status 1, 1 of status 2; standard deviation of 2 of them" in said
-    assert "2 to 3 m horizontal, 5 to 5 m vertical, covariance diagonal and known" in said
+    text = quality_of(some)
+    assert "1 of status 0, 1 of status 1, 1 of status 2; standard deviation of 2 of them" in text
+    assert "2 to 3 m horizontal, 5 to 5 m vertical, covariance diagonal and known" in text
 
 
 @pytest.mark.parametrize(
@@ -91,66 +87,3 @@ def test_fixes_that_are_usable(
     level, _ = FixRule(**rule).usable(fixes(**changed), level=True)
     rows = sorted(row for name, item in dropped.items() if name != "no_height" for row in item)
     assert np.flatnonzero(~level).tolist() == rows
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"min_status": 3}, {"min_status": -1}, {"max_sigma_m": 0.0}, {"max_sigma_m": np.inf},
-        {"correlation_s": 0.0}, {"correlation_s": np.inf},
-    ],
-)  # fmt: skip
-def test_rules_that_select_nothing_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(SettingsError):
-        FixRule(**wrong)
-
-
-def test_the_frame_of_fixes_starts_at_the_first() -> None:
-    stamps = np.array([3, 1, 2]) * SECOND
-    some = fixes()
-    found = fix_trajectory(stamps, some)
-    np.testing.assert_allclose(found.positions[1], 0.0, atol=1e-9)
-    assert found.reading.fixes is not None
-    assert found.reading.fixes.datum == Datum(47.001, 8.001, 401.0)
-    assert found.covariances is not None
-    np.testing.assert_allclose(np.diag(found.covariances[1][:3, :3]), [1.0, 0.25, 25.0], rtol=1e-9)
-    assert np.isnan(found.covariances[1][3:]).all()
-    near, far = (FixRule(datum=Datum(47.001 - away, 8.001, 401.0)) for away in (0.89, 0.91))
-    assert near.datum_of(stamps, some) == near.datum
-    with pytest.raises(InputError, match="km away from the first fix"):
-        far.datum_of(stamps, some)
-    rows = fixes_of_rows(some.places, np.arange(33.0).reshape(3, 11))
-    assert rows.status.tolist() == [0, 11, 22]
-    assert rows.covariance_types.tolist() == [1, 12, 23]
-    assert rows.covariances[1].tolist() == [[13, 14, 15], [16, 17, 18], [19, 20, 21]]
-
-
-def test_fixes_at_one_place_are_refused() -> None:
-    same = np.tile([47.0, 8.0, 400.0], (3, 1))
-    with pytest.raises(InputError, match=r"all fixes \(3\) are at the same place"):
-        fix_trajectory(np.arange(3), fixes(places=same))
-    same[1, 1] += 1e-7
-    assert len(fix_trajectory(np.arange(3), fixes(places=same))) == 3
-    alone = fixes()[:1]
-    assert len(fix_trajectory(np.arange(1), alone)) == 1
-    with pytest.raises(InputError, match=r"no usable fix among 3 \(3 no fix\)"):
-        fix_trajectory(np.arange(3), fixes(status=np.array([-1, -1, -1])))
-
-
-def test_a_fix_without_height_is_kept_apart() -> None:
-    places = fixes().places.copy()
-    places[1, 2] = np.nan
-    found = fix_trajectory(np.arange(3) * SECOND, fixes(places=places))
-    assert len(found) == 2
-    assert found.reading.dropped == {"no_height": 1}
-    assert found.reading.fixes is not None
-    assert found.reading.fixes.flat is not None
-    assert found.reading.fixes.flat[0].tolist() == [SECOND]
-    level = FixRule().applied(found, level=True)
-    assert level.stamps.tolist() == [0, SECOND, 2 * SECOND]
-    assert level.reading.dropped == {}
-    assert FixRule().applied(found) is found
-    places[:, 2] = np.nan
-    flat = fix_trajectory(np.arange(3) * SECOND, fixes(places=places))
-    assert len(flat) == 3
-    assert np.isfinite(flat.positions).all()

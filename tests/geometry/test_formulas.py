@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.geometry import covariance_frames, lie, se3, so3
+from trajeval_ros.geometry import covariance_frames, se3, so3
 from trajeval_ros.geometry.banded_matrices import BandedGaussian, Factor, add_blocks, bandwidth
 from trajeval_ros.geometry.gauge import (
     Gauge,
@@ -22,9 +22,8 @@ from trajeval_ros.geometry.gauge import (
     least_squares_normals,
     orbit_basis,
 )
-from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.marker import HandEye, at_arms
-from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
+from trajeval_ros.geometry.preintegration import ImuNoise, preintegrate
 
 Array = NDArray[np.float64]
 # On both sides of the angles at which series replace closed forms: sqrt(1e-3), 0.1 and 0.2 rad.
@@ -173,40 +172,6 @@ def test_covariances_of_preintegration_are_those_of_noisy_samples(scheme: str) -
                     variance = density**2 / steps[interval, sample]
                     expected[interval] += variance * change[interval] @ change[interval].T
     np.testing.assert_allclose(found.covariances, expected, rtol=1e-5, atol=1e-9)
-
-
-@pytest.mark.parametrize("scheme", ["middle", "start"])
-def test_preintegrated_motion_is_a_sum_of_steps(scheme: str) -> None:
-    generator = np.random.default_rng(8)
-    rates, forces = generator.normal(size=(2, 1, 6, 3))
-    held = generator.uniform(0.1, 0.2, size=(1, 6))
-    turn, velocity, position = np.eye(3), np.zeros(3), np.zeros(3)
-    for rate, force, step in zip(rates[0], forces[0], held[0], strict=True):
-        half = Rotation.from_rotvec(rate * step / 2.0).as_matrix()
-        acceleration = turn @ (half if scheme == "middle" else np.eye(3)) @ force
-        position = position + velocity * step + 0.5 * acceleration * step**2
-        velocity = velocity + acceleration * step
-        turn = turn @ Rotation.from_rotvec(rate * step).as_matrix()
-    found = preintegrate(rates, forces, held, ImuNoise(1.0, 1.0), scheme)
-    np.testing.assert_allclose(found.rotations[0], turn, atol=EXACT)
-    np.testing.assert_allclose(found.velocities[0], velocity, atol=EXACT)
-    np.testing.assert_allclose(found.positions[0], position, atol=EXACT)
-    one = preintegrate(rates, forces, 0.1, ImuNoise(1.0, 1.0), scheme)
-    many = preintegrate(rates, forces, np.full((1, 6), 0.1), ImuNoise(1.0, 1.0), scheme)
-    np.testing.assert_array_equal(one.covariances, many.covariances)
-    motions = integrated(so3.exp(rates * held[..., None]), forces, held)
-    assert [motion.shape for motion in motions] == [(1, 7, 3, 3), (1, 7, 3), (1, 7, 3)]
-
-
-def test_a_gyroscope_of_linear_rates_turns_by_their_integral() -> None:
-    seconds = np.array([0.0, 0.3, 0.4, 1.0])
-    rates = np.outer(1.0 + 2.0 * seconds, [0.0, 0.6, 0.8])
-    first = lie.from_rotation_vector(np.array([0.5, 0.0, 0.0]))
-    found = turned_by_gyro(seconds, rates, first)
-    turns = np.outer(seconds + seconds**2, [0.0, 0.6, 0.8])
-    expected = Rotation.from_quat(first) * Rotation.from_rotvec(turns)
-    assert (expected.inv() * Rotation.from_quat(found)).magnitude().max() < 1e-12
-    np.testing.assert_array_equal(turned_by_gyro(seconds, rates)[0], [0.0, 0.0, 0.0, 1.0])
 
 
 @given(seed=seeds)

@@ -374,23 +374,6 @@ def test_no_byte_of_the_data_is_read_twice(
         assert times.max() <= 3
 
 
-@pytest.mark.parametrize("kind", ["zstd", "images"])
-def test_four_sources_take_hardly_more_bytes_than_one(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bag = MAKE[kind](tmp_path / "x")
-    few, (one,), _ = read_counted([f"{bag}:/truth"], monkeypatch)
-    many, (four,), _ = read_counted([f"{bag}:{item}" for item in READABLE[:4]], monkeypatch)
-    wanted = sum(len(payload) for topic, _, _, payload in flight() if topic != "/truth")
-    extra = sum(size for _, size in four.ranges) - sum(size for _, size in one.ranges)
-    with bag.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    indexes = sum(chunk.message_index_length for chunk in summary.chunk_indexes)
-    assert extra <= (1.5 * wanted + indexes if kind == "images" else indexes)
-    assert_same(few[0], many[0])
-
-
 def test_sqlite_scans_its_messages_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = MAKE["sqlite3"](tmp_path / "x")
     asked: list[str] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 from tests.io.bags.test_pose_rules import poses
 from trajeval_ros import evaluate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_columns import PoseColumns
@@ -32,23 +30,6 @@ def later(columns: PoseColumns) -> PoseColumns:
     return columns.replaced(stamps=columns.stamps + SECOND)
 
 
-def test_the_frames_of_the_first_pose_name_the_trajectory() -> None:
-    found = made(later(poses()))
-    assert (found.frame, found.child_frame, found.name) == ("map", "base", "a")
-    assert found.reading.remarks == ()
-    assert found.covariances is None
-    assert not found.reading.has_identity_rotations
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_changes_of_frames_are_told_once(count: int) -> None:
-    frames = [(0, "map", "base"), (2, "odom", "base"), (3, "odom", "imu"), (5, "map", "imu")]
-    found = made(later(poses(frames=frames[: count + 1])))
-    text = "run:/a: frame_id changes from ('map', 'base') to ('odom', 'base') at pose 2"
-    text += {1: "", 2: ", and 1 more time", 3: ", and 2 more times"}[count]
-    assert found.reading.remarks == (note("frame_changed", text),)
-
-
 def test_columns_without_information_are_left_out() -> None:
     columns = later(poses())
     zeros = np.zeros((6, 3))
@@ -57,41 +38,34 @@ def test_columns_without_information_are_left_out() -> None:
         (np.full((6, 3), np.nan), False),
         (zeros + [[0.0, 1.0, 0.0]], True),
     ):
-        found = made(columns.replaced(velocities=velocities))
-        assert (found.velocities is not None) == is_kept
+        result = made(columns.replaced(velocities=velocities))
+        assert (result.velocities is not None) == is_kept
     covariances = np.zeros((6, 6, 6))
     assert made(columns.replaced(covariances=covariances)).covariances is None
     assert made(columns.replaced(covariances=covariances * np.nan)).covariances is None
     covariances[4, 2, 2] = 1.0
     assert made(columns.replaced(covariances=covariances)).covariances is not None
     identities = np.tile([0.0, 0.0, 0.0, 1.0], (6, 1))
-    found = made(columns.replaced(quaternions=identities, velocities=zeros + 1.0))
-    assert found.quaternions is found.velocities is None
-    assert found.reading.has_identity_rotations
+    result = made(columns.replaced(quaternions=identities, velocities=zeros + 1.0))
+    assert result.quaternions is result.velocities is None
+    assert result.reading.has_identity_rotations
     points = made(columns.replaced(quaternions=None))
     assert points.quaternions is points.velocities is None
     assert not points.reading.has_identity_rotations
-
-
-def test_a_twist_of_the_world_is_told() -> None:
-    world = later(poses(frames=[(0, "world", "world")]))
-    assert [remark.code for remark in made(world).reading.remarks] == ["world_twist"]
-    without = world.replaced(body_velocities=np.zeros((6, 3)))
-    assert made(without).reading.remarks == ()
 
 
 def test_an_isolated_timestamp_is_dropped_and_told() -> None:
     columns = later(poses(12))
     columns = columns.replaced(stamps=columns.stamps.copy() // 10)
     columns.stamps[4] += 10**6 * SECOND
-    found = made(columns)
-    assert len(found) == 11
-    assert found.reading.dropped == {"lone_stamp": 1}
-    assert [remark.code for remark in found.reading.remarks] == ["lone_stamp"]
+    result = made(columns)
+    assert len(result) == 11
+    assert result.reading.dropped == {"lone_stamp": 1}
+    assert [remark.code for remark in result.reading.remarks] == ["lone_stamp"]
 
 
 @pytest.mark.parametrize(
-    ("changes", "why", "said"),
+    ("changes", "why", "text"),
     [
         ({}, "", "run:/a has no poses"),
         ({}, "x is damaged", "run:/a has no poses: x is damaged"),
@@ -99,8 +73,8 @@ def test_an_isolated_timestamp_is_dropped_and_told() -> None:
         ({"dropped": {"zero_stamp": 2}}, "x", "has no poses: 2 with timestamp zero"),
     ],
 )
-def test_a_topic_without_poses(changes: dict[str, Any], why: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_a_topic_without_poses(changes: dict[str, Any], why: str, text: str) -> None:
+    with pytest.raises(InputError, match=text):
         made(poses().rows_of(np.zeros(6, dtype=bool)).replaced(**changes), why=why)
 
 
@@ -120,7 +94,7 @@ def fixes(names: list[str], count: int = 6) -> PoseColumns:
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "text"),
     [
         (["gps"], None),
         (["gps", "gnss"], "frame_id changes from gps to gnss"),
@@ -128,16 +102,16 @@ def fixes(names: list[str], count: int = 6) -> PoseColumns:
         (["a", "b", "c"], ""),
     ],
 )
-def test_fixes_are_of_one_receiver(names: list[str], said: str | None) -> None:
-    if said == "":
+def test_fixes_are_of_one_receiver(names: list[str], text: str | None) -> None:
+    if text == "":
         with pytest.raises(InputError, match="has fixes of several receivers"):
             made(fixes(names))
         return
-    found = made(fixes(names))
-    assert found.child_frame == names[0]
-    assert found.reading.fixes is not None
-    told = [remark.text for remark in found.reading.remarks if remark.code == "frame_changed"]
-    assert told == ([] if said is None else [said])
+    result = made(fixes(names))
+    assert result.child_frame == names[0]
+    assert result.reading.fixes is not None
+    told = [remark.text for remark in result.reading.remarks if remark.code == "frame_changed"]
+    assert told == ([] if text is None else [text])
 
 
 def line(stamps_s: list[float], places: list[float], **reading: Any) -> Trajectory:
@@ -149,58 +123,15 @@ def line(stamps_s: list[float], places: list[float], **reading: Any) -> Trajecto
 
 def test_key_figures_of_a_trajectory() -> None:
     assert LONG_GAP_S == 0.5
-    found = summarize("x", line([10.0, 10.1, 10.2, 10.7, 11.3], [0.0, 0.1, 0.4, 0.5, 1.0]))
-    assert (found.poses, found.gaps) == (5, 1)
-    assert (found.first_ns, found.last_ns) == (10 * SECOND, 11_300_000_000)
-    assert found.rate_hz == pytest.approx(1.0 / 0.3)
-    assert found.path_length_m == pytest.approx(1.0)
-    assert found.mean_speed_mps == pytest.approx(1.0 / 1.3)
-    assert found.largest_speed_mps == pytest.approx(3.0)
-    assert found.longest_gap_s == pytest.approx(0.6)
-    assert (found.holds, found.remarks, found.could_be) == ((), (), "estimate or groundtruth")
-
-
-def test_a_trajectory_of_one_or_two_states_or_without_times() -> None:
-    one = summarize("x", line([3.0], [5.0]))
-    assert (one.poses, one.rate_hz, one.mean_speed_mps, one.path_length_m) == (1, 0.0, 0.0, 0.0)
-    assert (one.largest_speed_mps, one.longest_gap_s, one.gaps) == (0.0, 0.0, 0)
-    two = summarize("x", line([3.0, 3.5], [5.0, 6.0]))
-    assert (two.rate_hz, two.mean_speed_mps, two.largest_speed_mps) == (2.0, 2.0, 2.0)
-    assert (two.longest_gap_s, two.gaps) == (0.5, 0)
-    rows = summarize("x", line([0.0, 1.0, 2.0], [0.0, 1.0, 3.0], stamped=False))
-    assert (rows.rate_hz, rows.mean_speed_mps, rows.largest_speed_mps) == (0.0, 0.0, 0.0)
-    assert (rows.longest_gap_s, rows.gaps, rows.path_length_m) == (0.0, 0, 3.0)
-
-
-def test_what_was_dropped_is_in_the_summary() -> None:
-    remarks = (note("format", "format: TUM"), note("layout", "no header"))
-    dropped = {"not_finite": 2, "duplicate_stamp": 1}
-    found = summarize("x", line([1.0, 2.0], [0.0, 1.0], remarks=remarks, dropped=dropped))
-    said = ("no header", "2 dropped: not finite", "1 dropped: duplicate stamp")
-    assert found.messages == said
-    assert found.kind == "TUM"
-
-
-@pytest.mark.parametrize(
-    ("columns", "role"),
-    [
-        ({}, "estimate or groundtruth"),
-        ({"velocities": np.ones((2, 3))}, "estimate"),
-        ({"covariances": np.ones((2, 6, 6))}, "estimate"),
-        ({"velocities": np.ones((2, 3)), "gyroscope_biases": np.ones((2, 3))},
-            "estimate or groundtruth"),
-        ({"frame": "vicon"}, "groundtruth"),
-    ],
-)  # fmt: skip
-def test_the_role_follows_from_the_columns(columns: dict[str, Any], role: str) -> None:
-    found = summarize("x", dataclasses.replace(line([1.0, 2.0], [0.0, 1.0]), **columns))
-    assert found.could_be == role
-    named = {
-        "velocity": "velocities",
-        "gyroscope bias": "gyroscope_biases",
-        "covariance": "covariances",
-    }
-    assert found.holds == tuple(name for name, column in named.items() if column in columns)
+    result = summarize("x", line([10.0, 10.1, 10.2, 10.7, 11.3], [0.0, 0.1, 0.4, 0.5, 1.0]))
+    assert (result.poses, result.gaps) == (5, 1)
+    assert (result.first_ns, result.last_ns) == (10 * SECOND, 11_300_000_000)
+    assert result.rate_hz == pytest.approx(1.0 / 0.3)
+    assert result.path_length_m == pytest.approx(1.0)
+    assert result.mean_speed_mps == pytest.approx(1.0 / 1.3)
+    assert result.largest_speed_mps == pytest.approx(3.0)
+    assert result.longest_gap_s == pytest.approx(0.6)
+    assert (result.holds, result.remarks, result.could_be) == ((), (), "estimate or groundtruth")
 
 
 def test_what_is_neither_table_nor_array_is_refused() -> None:

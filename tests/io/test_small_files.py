@@ -1,4 +1,4 @@
-"""Small files, names and checks of readers: what is written is read, and limits are exact."""
+"""Small files, names and checks of readers: what is written is read."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.io import growing_rows, npz_file, yaml_file
-from trajeval_ros.io.checks import check_rotations, check_stamps, nearest, times
-from trajeval_ros.io.growing_rows import GrowingRows
+from trajeval_ros.io import npz_file
+from trajeval_ros.io.checks import check_rotations
 from trajeval_ros.io.hand_eye_file import (
     hand_eye_json,
     hand_eye_of,
@@ -30,49 +29,6 @@ from trajeval_ros.io.hand_eye_file import (
 from trajeval_ros.io.json_file import json_text, mapping_in, require_schema
 from trajeval_ros.io.npz_file import read_arrays, write_arrays
 from trajeval_ros.io.yaml_file import read_mapping, require_known
-
-EPOCH = 10**17
-
-
-def test_at_most_twelve_names_are_listed_and_the_rest_counted() -> None:
-    names = [f"/topic_{row}" for row in range(14)]
-    assert nearest("x", []) == "none"
-    for count in (1, 11, 12):
-        listed = nearest("/topic_0", names[:count]).split(", ")
-        assert listed[0] == "/topic_0"
-        assert sorted(listed) == sorted(names[:count])
-    for count in (13, 14):
-        said = nearest("/topic_0", names[:count])
-        assert said.endswith(f" and {count - 12} more")
-        assert said.count(",") == 11
-
-
-@pytest.mark.parametrize(("median", "zero_is_set"), [(EPOCH, True), (EPOCH + 16, False)])
-def test_zero_is_no_time_among_times_since_1970(median: int, *, zero_is_set: bool) -> None:
-    stamps = np.array([0, median, median])  # float64 has steps of 16 there
-    assert times(stamps).tolist() == [zero_is_set, True, True]
-    assert check_stamps(np.array([0, median]), "t").tolist() == [True, True]
-    assert times(np.array([], dtype=np.int64)).tolist() == []
-
-
-@pytest.mark.parametrize(
-    ("stamps", "refused"),
-    [([0], True), ([0, 0], True), ([5], False), ([5, 5], True), ([5, 6], False), ([], False)],
-)
-def test_timestamps_that_do_not_differ_are_refused(stamps: list[int], *, refused: bool) -> None:
-    assert is_refused(check_stamps, np.array(stamps, dtype=np.int64), "t") == refused
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize(("off", "told"), [(0.0199, False), (0.0201, True)])
-def test_a_square_length_beyond_two_percent_is_told(
-    sign: float, off: float, *, told: bool
-) -> None:
-    quaternions = np.tile([0.6, 0.0, 0.0, 0.8], (4, 1))
-    quaternions[2] *= math.sqrt(1.0 + sign * off)
-    found, remarks = check_rotations(quaternions)
-    assert found is quaternions
-    assert [remark.code for remark in remarks] == (["normalised"] if told else [])
 
 
 def test_the_largest_deviation_of_a_length_is_told() -> None:
@@ -92,8 +48,8 @@ def test_the_largest_deviation_of_a_length_is_told() -> None:
 
 def test_rotations_that_are_all_the_identity_are_none() -> None:
     identities = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
-    found, [remark] = check_rotations(identities)
-    assert (found, remark.code) == (None, "identity_rotations")
+    result, [remark] = check_rotations(identities)
+    assert (result, remark.code) == (None, "identity_rotations")
     assert remark.text.startswith("all rotations are the identity")
     _, [remark] = check_rotations(0.0 * identities)
     assert remark.text.startswith("all rotations have zero quaternions")
@@ -119,10 +75,10 @@ def test_a_written_transform_is_read(
     pose = HandEye(pose.rotation_xyzw, pose.lever_m, "base", "marker")
     path = tmp_path_factory.getbasetemp() / "pose.yaml"
     path.write_text(json.dumps(hand_eye_json(pose)))
-    found = read_hand_eye(path)
-    np.testing.assert_array_equal(found.lever_m, lever)
-    np.testing.assert_allclose(found.rotation_xyzw, pose.rotation_xyzw, rtol=1e-15)
-    assert (found.body, found.marker) == ("base", "marker")
+    result = read_hand_eye(path)
+    np.testing.assert_array_equal(result.lever_m, lever)
+    np.testing.assert_allclose(result.rotation_xyzw, pose.rotation_xyzw, rtol=1e-15)
+    assert (result.body, result.marker) == ("base", "marker")
     plain = read_similarity(path)
     path.write_text(json.dumps({**hand_eye_json(pose), "scale": scale}))
     scaled = read_similarity(path)
@@ -144,32 +100,11 @@ def transform(**changes: Any) -> dict[str, Any]:
     return {"transform": made}
 
 
-@pytest.mark.parametrize(
-    ("changes", "refused"),
-    [
-        ({}, False),
-        ({"r_z": 0.6 * 1.0099, "r_w": 0.8 * 1.0099}, False),
-        ({"r_z": 0.6 * 1.0101, "r_w": 0.8 * 1.0101}, True),
-        ({"r_z": 0.6 * 0.9901, "r_w": 0.8 * 0.9901}, False),
-        ({"r_z": 0.6 * 0.9899, "r_w": 0.8 * 0.9899}, True),
-        ({"x_x": 1e12}, False),
-        ({"x_x": 1.1e12}, True),
-        ({"x_y": -1.1e12}, True),
-        ({"x_z": math.nan}, True),
-        ({"x_z": "3"}, True),
-        ({"x_w": 1}, True),
-        ({"r_v": 1}, True),
-    ],
-)
-def test_numbers_of_a_transform(changes: dict[str, Any], *, refused: bool) -> None:
-    assert is_refused(hand_eye_of, transform(**changes), "t.yaml") == refused
-
-
 def test_a_transform_without_names_or_parts() -> None:
-    found = hand_eye_of({**transform(), "header": {"stamp": {}}}, "t")
-    assert (found.body, found.marker) == ("", "")
-    np.testing.assert_array_equal(found.lever_m, [1.0, 2.5, 3.0])
-    np.testing.assert_allclose(found.rotation_xyzw, [0.0, 0.0, 0.6, 0.8], rtol=1e-15)
+    result = hand_eye_of({**transform(), "header": {"stamp": {}}}, "t")
+    assert (result.body, result.marker) == ("", "")
+    np.testing.assert_array_equal(result.lever_m, [1.0, 2.5, 3.0])
+    np.testing.assert_allclose(result.rotation_xyzw, [0.0, 0.0, 0.6, 0.8], rtol=1e-15)
     for wrong in (
         {"header": 3},
         {"transform": None},
@@ -179,42 +114,6 @@ def test_a_transform_without_names_or_parts() -> None:
     ):
         with pytest.raises(InputError, match=r"t.*(missing|unknown)"):
             hand_eye_of({**transform(), **wrong}, "t")
-
-
-@pytest.mark.parametrize(
-    ("scale", "refused"),
-    [
-        (0, True),
-        (-1.0, True),
-        (1e12, False),
-        (1.1e12, True),
-        ("1", True),
-        (True, True),
-        (2, False),
-    ],
-)
-def test_scales_of_a_transform(tmp_path: Path, scale: Any, *, refused: bool) -> None:
-    path = tmp_path / "t.yaml"
-    path.write_text(json.dumps({**transform(), "scale": scale}))
-    assert is_refused(read_similarity, path) == refused
-
-
-@pytest.mark.parametrize("is_generated", [False, True])
-def test_sizes_of_yaml(tmp_path: Path, is_generated: bool) -> None:
-    path = tmp_path / "x.yaml"
-    assert (yaml_file._LARGEST, yaml_file._LARGEST_GENERATED) == (1_000_000, 1 << 22)
-    most = yaml_file._MOST_ELEMENTS, yaml_file._MOST_GENERATED_ELEMENTS
-    assert most == (20_000, 200_000)
-    names = ("_LARGEST_GENERATED", "_MOST_GENERATED_ELEMENTS")
-    if not is_generated:
-        names = ("_LARGEST", "_MOST_ELEMENTS")
-    text = "a: [1, 2, {b: 3}]\n"  # two commas, two brackets, one line
-    path.write_text(text)
-    for name, enough in zip(names, (len(text), 5), strict=True):
-        for limit in (enough, enough - 1):
-            with mock.patch.object(yaml_file, name, limit):
-                refused = is_refused(read_mapping, path, "thing", is_generated=is_generated)
-                assert refused == (limit < enough)
 
 
 @pytest.mark.parametrize(
@@ -230,16 +129,16 @@ def test_integers_of_yaml_have_64_bits(tmp_path: Path, number: int, *, refused: 
 
 def test_yaml_is_the_first_mapping(tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
-    for text, found in (
+    for text, result in (
         ("a: 0.20\n---\nb: 1", {"a": 0.2}),
         ("%YAML:1.0\n---\na: 2", {"a": 2}),
         ("a: no", {"a": "no"}),
     ):
         path.write_text(text)
-        assert read_mapping(path, "thing") == found
+        assert read_mapping(path, "thing") == result
     path.write_text("a: 0.20")
     assert read_mapping(path, "thing", as_text=True) == {"a": "0.20"}
-    for text, said in (
+    for text, message in (
         ("- a", "has no thing"),
         ("1: a", "has no thing"),
         ("", "has no thing"),
@@ -247,7 +146,7 @@ def test_yaml_is_the_first_mapping(tmp_path: Path) -> None:
         ("a: {ours: vio/{sequence}.txt}", "write patterns with braces in quotes"),
     ):
         path.write_text(text)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             read_mapping(path, "thing")
     path.write_text('a: {ours: "vio", x: [}')
     with pytest.raises(InputError) as raised:
@@ -319,9 +218,9 @@ def test_written_arrays_are_read(tmp_path: Path, *, compressed: bool) -> None:
     rng = np.random.default_rng(0)
     arrays = {"a": rng.normal(size=(3, 4)), "b": np.arange(5), "word": "left", "none": np.empty(0)}
     write_arrays(path, arrays, compressed=compressed)
-    found = read_arrays(path, ("a", "word", "none", "missing"))
-    assert set(found) == {"a", "word", "none"}
-    for name, array in found.items():
+    result = read_arrays(path, ("a", "word", "none", "missing"))
+    assert set(result) == {"a", "word", "none"}
+    for name, array in result.items():
         np.testing.assert_array_equal(array, arrays[name])
 
 
@@ -348,21 +247,27 @@ def test_arrays_are_refused_by_their_ratio_and_size(tmp_path: Path) -> None:
         read_arrays(path, ("a",))
 
 
-@given(st.lists(st.integers(0, 40), max_size=30), st.integers(1, 20))
-def test_rows_that_grow_are_the_concatenation(counts: list[int], fewest: int) -> None:
-    rows, parts = GrowingRows(), []
-    with mock.patch.object(growing_rows, "_FEWEST", max(fewest, max(counts, default=1))):
-        for place, count in enumerate(counts):
-            parts.append(np.full((count, 2), place))
-            rows.extend(parts[-1])
-    if parts:
-        np.testing.assert_array_equal(rows.done(), np.concatenate(parts))
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({"r_z": 1.2, "r_w": 1.6}, "has length 2 and is not a unit quaternion"),
+        ({"x_x": 1e15}, "translation.x must be a number"),
+        ({"x_z": "3"}, "translation.z must be a number"),
+        ({"r_v": 1}, "unknown"),
+        ({"scale": 0}, "scale must be a number greater than zero"),
+        ({"scale": "1"}, "scale must be a number greater than zero"),
+    ],
+)
+def test_numbers_of_a_transform(tmp_path: Path, changes: dict[str, Any], part: str) -> None:
+    path = tmp_path / "t.yaml"
+    scale = {"scale": changes.pop("scale", 2)}
+    path.write_text(json.dumps({**transform(**changes), **scale}))
+    with pytest.raises(InputError, match=part):
+        read_similarity(path)
 
 
-def test_rows_beyond_the_first_room() -> None:
-    for first, second in ((8192, 1), (8193, 0), (9216, 1), (1, 30_000)):
-        rows = GrowingRows()
-        rows.extend(np.arange(first))
-        rows.extend(np.arange(second))
-        expected = [*range(first), *range(second)]
-        assert rows.done().tolist() == expected
+def test_a_large_file_of_yaml_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text("a: 1\n" + "#" * 10_000_000)
+    with pytest.raises(InputError, match=r"larger than .*, the limit for YAML"):
+        read_mapping(path, "thing")

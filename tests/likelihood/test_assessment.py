@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,11 +10,10 @@ import numpy as np
 import pytest
 
 from trajeval_ros.continuous_time.continuous_trajectory import fit_trajectory
-from trajeval_ros.continuous_time.samples import Belief, Noise
+from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.likelihood import likelihood_assessment as module
 from trajeval_ros.likelihood.correlated_groundtruth import (
     CorrelatedGroundtruth,
     joint_log_likelihood,
@@ -54,44 +52,6 @@ def assessed(stamps: Any, seed: int, **changed: Any) -> LikelihoodAssessment:
         "ate": UncertainAte(0.1, 0.1, supported, (0.0, 0.2)), "log_bayes": {}, "statements": (),
     }  # fmt: skip
     return LikelihoodAssessment(**{**given, **changed})
-
-
-def said(**changed: Any) -> list[str]:
-    stamps = changed.pop("stamps", SECOND // 2 * np.arange(2, 30))
-    return list(module._statements(assessed(stamps, 0, **changed)))
-
-
-def test_remarks_have_their_limits() -> None:
-    # 28 poses within 14 samples, from 1 to 14.5 s.
-    assert ["2.0 poses per groundtruth sample" in item for item in said()] == [True]
-    # 21 poses within 14 samples are not above 1.5.
-    stamps = SECOND * np.arange(1, 15)
-    assert said(stamps=np.sort(np.append(stamps, stamps[:7] + 500_000_000))) == []
-    found = said(stamps=np.sort(np.append(stamps, stamps[:8] + 500_000_000)))
-    assert ["1.6 poses per" in item for item in found] == [True]
-    part = np.ones(14, dtype=bool)
-    part[:7] = False
-    some = UncertainAte(0.1, 0.1, part, (0.0, 0.2))
-    assert ["at 50.0 % of the poses" in item for item in said(stamps=stamps, ate=some)] == [True]
-    none = UncertainAte(0.1, None, part, None)
-    assert ["no ATE of" in item for item in said(stamps=stamps, ate=none)] == [True]
-    lone = UncertainAte(0.1, 0.1, ~(part & ~part), None)
-    assert ["no interval for" in item for item in said(stamps=stamps, ate=lone)] == [True]
-    scores = SimpleNamespace(sim3=None, why_no_sim3="why")
-    found = said(stamps=stamps, gauge_scores=scores)
-    assert found == ["no likelihood in gauge sim3: why"]
-    scores.sim3 = 1.0
-    assert said(stamps=stamps, gauge_scores=scores) == []
-
-
-def test_the_tolerance_is_added_to_variances() -> None:
-    assert Noise(0.005, math.radians(0.2)) == TOLERANCE
-    known = Belief(np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(6), (2, 1, 1)))
-    whole, points = (module._with_tolerance(known, item).covariances for item in (True, False))
-    added = np.diag([25e-6] * 3 + [math.radians(0.2) ** 2] * 3)
-    np.testing.assert_allclose(whole, np.eye(6) + np.tile(added, (2, 1, 1)))
-    added[3:] = 0.0
-    np.testing.assert_allclose(points, np.eye(6) + np.tile(added, (2, 1, 1)))
 
 
 def test_bayes_factors_are_differences_of_joint_likelihoods() -> None:

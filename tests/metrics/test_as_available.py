@@ -92,14 +92,6 @@ def test_held_pose_on_a_line_is_behind_by_speed_times_age() -> None:
     assert mean == pytest.approx(V * (LATENCY_S + (1 / RATE_HZ - 0.01) / 2), abs=1e-9)
 
 
-@pytest.mark.parametrize("motion", ["constant", "twist"])
-def test_prediction_on_a_line_has_no_error(motion: str) -> None:
-    found = measured(*on_line(), motion)
-    assert found.samples is not None
-    second = found.samples.rows > 0  # the first pose has no pose before it
-    assert np.abs(errors(found)[0][second]).max() < 1e-12
-
-
 @pytest.mark.parametrize("lacks", ["rates", "a rate", "velocities", "motion"])
 def test_without_a_twist_the_numbers_of_its_prediction_are_withheld(lacks: str) -> None:
     truth, estimate = on_line()
@@ -171,15 +163,6 @@ def on_circle(turn: float = TURN) -> tuple[Trajectory, Trajectory]:
     velocities = lie.rotate(turned, forwards)
     truth = Trajectory(fine, *circle(fine))
     return truth, received(stamps, positions, turned, times, velocities, rates)
-
-
-def test_held_pose_on_a_circle_is_a_chord_behind() -> None:
-    found = measured(*on_circle())
-    assert found.samples is not None
-    angle = TURN * found.samples.age / SECOND
-    position, rotation = (np.linalg.norm(error, axis=1) for error in errors(found))
-    np.testing.assert_allclose(position, 2 * RADIUS * np.sin(angle / 2), atol=1e-12)
-    np.testing.assert_allclose(rotation, angle, atol=1e-12)
 
 
 @pytest.mark.parametrize("motion", ["constant", "twist"])
@@ -275,18 +258,6 @@ def test_wrong_timestamps_do_not_change_the_held_error(seed: int, shift_ms: int)
         one.samples.age[first] + shift_ms * 10**6, other.samples.age[second]
     )
     np.testing.assert_allclose(errors(one)[0][first], errors(other)[0][second], atol=1e-12)
-
-
-def test_order_of_equal_timestamps_and_receptions() -> None:
-    truth, _ = on_line()
-    stamps = np.array([1, 1, 2, 3]) * SECOND
-    times = np.array([2, 2, 4, 4]) * SECOND
-    positions = np.column_stack([[10.0, 20.0, 30.0, 40.0], np.zeros((4, 2))])
-    found = measured(truth, received(stamps, positions, None, times))
-    assert found.samples is not None
-    assert found.samples.messages.positions[:, 0].tolist() == [10.0, 30.0, 40.0]
-    assert found.numbers.late_messages == 1
-    assert found.numbers.rotation_deg is None
 
 
 def test_corrected_pose_acts_from_its_reception_and_keeps_the_age_of_its_pose() -> None:

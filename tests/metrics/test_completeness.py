@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.completeness import CompletenessSums, InterpolationMeter, completeness
+from trajeval_ros.metrics.completeness import CompletenessSums, InterpolationMeter
 
 SECOND = 10**9
 STATES = st.lists(
@@ -76,16 +75,6 @@ def test_older_states_are_counted_and_move_nothing() -> None:
     assert (before.span, before.longest_gap) == (after.span, after.longest_gap)
 
 
-def test_rows_of_pairs_are_states_with_an_estimate() -> None:
-    stamps = np.arange(5) * SECOND
-    truth = Trajectory.from_columns(stamps, np.outer(np.arange(5), [1.0, 0.0, 0.0]), None)
-    coverage = completeness(truth, np.array([1, 2, 4]))
-    assert (coverage.covered, coverage.span) == (3 / 5, 3 / 4)
-    assert coverage.longest_gap is not None
-    assert coverage.longest_gap.duration_s == 2.0
-    assert coverage.longest_gap.reach_m == 2.0
-
-
 @pytest.mark.parametrize("batch", [1, 2, 7])
 def test_interpolation_on_a_circle_is_off_by_its_sagitta(batch: int) -> None:
     """Halfway on a chord of a circle: r (1 - cos(w h / 2)); at most a bin of 2.2 % more."""
@@ -105,18 +94,3 @@ def test_interpolation_on_a_circle_is_off_by_its_sagitta(batch: int) -> None:
     sagitta_m = radius_m * (1.0 - np.cos(rate * step_s / 2.0))
     # An eighth of second differences is (r / 4) (1 - cos w h), the sagitta to 0.1 %.
     assert sagitta_m * 0.999 <= meter.interpolation.off_m <= sagitta_m * 1.023
-
-
-def test_one_jump_in_two_hundred_states_is_no_curve() -> None:
-    line = np.outer(np.arange(400.0), [0.1, 0.0, 0.0])
-    line[200:] += 50.0
-    meter = InterpolationMeter()
-    meter.add(np.arange(400) * SECOND, line)
-    assert meter.interpolation is not None
-    assert meter.interpolation.off_m < 1e-6
-    many = line.copy()
-    many[::40] += 1.0  # a thirteenth of the second differences
-    meter = InterpolationMeter()
-    meter.add(np.arange(400) * SECOND, many)
-    assert meter.interpolation is not None
-    assert meter.interpolation.off_m > 0.1

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 from typing import Any
 
 import pytest
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.gauge import MODALITIES, Gauge
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.io.requests.request_from import protocol_from
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.sub_trajectories import Length, Selection
-
-
-@pytest.mark.parametrize(("modality", "gauge"), MODALITIES.items())
-def test_a_modality_chooses_its_gauge(modality: str, gauge: Gauge) -> None:
-    assert Protocol(modality=modality).gauge is gauge
-    assert Protocol(modality=modality, gauge=gauge) == Protocol(modality=modality)
 
 
 @pytest.mark.parametrize("gauge", Gauge)
@@ -66,14 +59,6 @@ def test_what_means_nothing_is_refused(settings: dict[str, Any], words: str) -> 
     assert words in str(caught.value)
 
 
-@pytest.mark.parametrize("name", PROTOCOLS)
-def test_a_copy_is_equal(name: str) -> None:
-    protocol = PROTOCOLS[name]
-    assert dataclasses.replace(protocol) == protocol
-    assert pickle.loads(pickle.dumps(protocol)) == protocol
-    assert hash(dataclasses.replace(protocol)) == hash(protocol)
-
-
 def test_variants_keep_gauge_and_modality_together() -> None:
     inertial = Protocol(modality="mono-inertial")
     assert dataclasses.replace(inertial, lengths=()).gauge is Gauge.YAW
@@ -88,10 +73,6 @@ def test_a_gauge_by_word_replaces_the_modality_of_a_protocol() -> None:
     changed = protocol_from(inertial, gauge="se3")
     assert (changed.gauge, changed.modality) == (Gauge.SE3, None)
     assert protocol_from(inertial, lengths="none").modality == "mono-inertial"
-
-
-def test_kittis_lengths_are_those_of_its_devkit() -> None:
-    assert PROTOCOLS["kitti"].lengths == metres(*range(100, 900, 100))
 
 
 def test_protocols_of_programs_that_dont_sort_dont() -> None:

@@ -57,8 +57,8 @@ def test_health_of_a_run_is_that_of_numpy(count: int, rate_hz: float, seed: int)
     assert whole.jitter_s == pytest.approx(intervals.std(), rel=1e-5, abs=1e-8)
     assert whole.largest_gap_s == pytest.approx(intervals.max())
     expected = [*np.percentile(delays, (50, 95)), delays.max()]
-    found = [whole.arrival_p50_s, whole.arrival_p95_s, whole.arrival_max_s]
-    assert found == pytest.approx(np.array(expected) / SECOND)
+    result = [whole.arrival_p50_s, whole.arrival_p95_s, whole.arrival_max_s]
+    assert result == pytest.approx(np.array(expected) / SECOND)
     assert whole.from_future == 0
 
 
@@ -126,28 +126,10 @@ def test_arrivals_are_compared_at_equal_timestamps(
     assert monitors[0].arrival_after(monitors[1]) == pytest.approx(late_s, abs=1e-6)
 
 
-@pytest.mark.parametrize(("count", "is_known"), [(9, False), (10, True)])
-def test_ten_arrivals_are_compared(count: int, *, is_known: bool) -> None:
-    stamps = BEGIN + np.arange(40) * SECOND // 5
-    few = monitored(stamps[:count], stamps[:count] + SECOND, [])
-    many = monitored(stamps, stamps, [])
-    assert few.arrival_after(many) == (pytest.approx(1.0) if is_known else None)
-    assert many.arrival_after(few) == (pytest.approx(-1.0) if is_known else None)
-
-
-@pytest.mark.parametrize(("span_ms", "is_known"), [(990, False), (1000, True)])
-def test_arrivals_of_less_than_a_second_are_not_continued(span_ms: int, *, is_known: bool) -> None:
-    """The first messages of a stream may wait for its discovery."""
-    stamps = BEGIN + np.arange(300) * SECOND // 30
-    short = BEGIN + 9 * SECOND + np.linspace(0, span_ms, 51).astype(np.int64) * 10**6
-    after_s = monitored(stamps, stamps, []).arrival_after(monitored(short, short, []))
-    assert after_s == (pytest.approx(0.0, abs=1e-6) if is_known else None)
-
-
 def test_a_silent_stream_is_continued_and_a_few_late_messages_are_no_delay() -> None:
     """The last 3 s lack the other stream; one message of 25 is 9 s late."""
     stamps = BEGIN + np.arange(250) * SECOND // 25
     late = stamps + SECOND // 2
     late[::25] += 9 * SECOND
-    own, other = monitored(stamps, late, []), monitored(stamps[:175], stamps[:175], [])
-    assert own.arrival_after(other) == pytest.approx(0.5)
+    estimated, other = monitored(stamps, late, []), monitored(stamps[:175], stamps[:175], [])
+    assert estimated.arrival_after(other) == pytest.approx(0.5)

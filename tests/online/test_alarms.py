@@ -72,12 +72,11 @@ def levels(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("phase", [0.0, 0.37])
-def test_all_excursions_of_a_tenth_of_a_second_are_seen(phase: float) -> None:
-    seconds = 201
+def test_all_excursions_of_a_tenth_of_a_second_are_seen() -> None:
+    seconds = 101
     position = np.zeros((200 * seconds, 3))
     # In every second second, at another place of it.
-    begins = 200 + 400 * np.arange(100) + np.rint(170 * ((phase + 0.618 * np.arange(100)) % 1.0))
+    begins = 200 + 400 * np.arange(50) + np.rint(170 * ((0.618 * np.arange(50)) % 1.0))
     for begin in begins.astype(int):
         position[begin : begin + 20, 0] = 0.5
     turned = np.where(position[:, 0] > 0.0, 5.0, 0.0)
@@ -93,7 +92,7 @@ def test_all_excursions_of_a_tenth_of_a_second_are_seen(phase: float) -> None:
     assert [item == expected for item in seen] == [
         bool((position[200 * second : 200 * second + 200] > 0).any()) for second in range(seconds)
     ]
-    assert sum(item == expected for item in seen) == 100
+    assert sum(item == expected for item in seen) == 50
     assert all(item in ({}, expected) for item in seen)
 
 
@@ -108,9 +107,9 @@ def test_the_largest_value_counts_once_and_says_when_it_was() -> None:
 @pytest.mark.parametrize("quantity", LIMITED_QUANTITIES)
 def test_every_quantity_has_two_limits(quantity: Any) -> None:
     limits = {**NONE, quantity.name: AlarmLimits.parse("1,2.0", "limits")}
-    found = [alarms({quantity.name: Peak(item, 7)}, limits) for item in (0.9, 1.0, 1.5, 2.5)]
-    assert found[:2] == [[], []]
-    [warned], [failed] = found[2:]
+    result = [alarms({quantity.name: Peak(item, 7)}, limits) for item in (0.9, 1.0, 1.5, 2.5)]
+    assert result[:2] == [[], []]
+    [warned], [failed] = result[2:]
     assert (warned.level, failed.level) == (Level.WARNING, Level.ERROR)
     assert warned.subject == quantity.name
     number, limit = (f"{name} {quantity.unit}".strip() for name in ("1.5", "1"))
@@ -125,7 +124,7 @@ def test_drift_is_the_largest_of_the_sub_trajectories_that_ended() -> None:
     positions = flight.positions * np.linspace(1.0, 1.2, 180)[:, None]
     rows = states(flight.positions, flight.quaternions)
     drifted = states(positions, flight.quaternions)
-    found = []
+    result = []
     for count in (1, 180):  # one by one, and all together
         protocol = Protocol(gauge="none", lengths=("4m", "3s"))
         live, peaks = OnlineEvaluator(OnlineSettings(protocol)), MaxSinceLast()
@@ -135,9 +134,9 @@ def test_drift_is_the_largest_of_the_sub_trajectories_that_ended() -> None:
             live.add_estimate(trajectory(flight.stamps[part], drifted[part]))
             peaks.see_update(live.update())
         peaks.see_update(live.update(at_end=True))
-        found.append(peaks.take()["drift_percent"].value)
-    assert found[0] == pytest.approx(found[1], rel=1e-9)
-    assert found[0] > 0.0
+        result.append(peaks.take()["drift_percent"].value)
+    assert result[0] == pytest.approx(result[1], rel=1e-9)
+    assert result[0] > 0.0
 
 
 @pytest.mark.parametrize("knows_up", [True, False])
@@ -150,10 +149,10 @@ def test_peaks_are_the_largest_errors_of_all_pairs_and_their_stamps(*, knows_up:
     live.add_estimate(trajectory(flight.stamps, states(off, flight.quaternions)))
     live.up_axis_doubt = "" if knows_up else "y is up"
     peaks.see_update(live.update())
-    found = peaks.take()
-    assert found["position_error_m"].value == pytest.approx(0.7)
-    assert found["position_error_m"].stamp == flight.stamps[1]
-    assert ("yaw_error_deg" in found) == knows_up
+    result = peaks.take()
+    assert result["position_error_m"].value == pytest.approx(0.7)
+    assert result["position_error_m"].stamp == flight.stamps[1]
+    assert ("yaw_error_deg" in result) == knows_up
 
 
 def test_what_stands_is_told_when_it_begins_gets_graver_and_ends() -> None:

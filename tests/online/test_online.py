@@ -139,21 +139,21 @@ def test_what_only_a_recording_shows_is_refused(settings: dict[str, Any], what: 
 
 
 @pytest.mark.slow
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(seed=seeds)
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
 @pytest.mark.parametrize("window", ["0", "5s", "4m", "37"])
 def test_batches_of_any_size_give_the_same_snapshot(seed: int, gauge: Gauge, window: str) -> None:
     groundtruth, estimate = make_pair(seed, 300)
     protocol = Protocol(gauge=gauge, lengths=(Length(3, "m"), Length(8, "m"), Length(2, "s")))
-    said = []
+    message = []
     for size in (1, 24, 10_000):
         evaluator = OnlineEvaluator(OnlineSettings(protocol, Window.parse(window)))
         feed_in_batches(evaluator, groundtruth, estimate, size)
-        said.append(list(numbers_of(evaluator.snapshot())))
-    assert len(said[1:]) > 0
-    for others in said[1:]:
-        for mine, other in zip(said[0], others, strict=True):
+        message.append(list(numbers_of(evaluator.snapshot())))
+    assert len(message[1:]) > 0
+    for others in message[1:]:
+        for mine, other in zip(message[0], others, strict=True):
             if isinstance(mine, float):
                 assert other == pytest.approx(mine, rel=1e-9, abs=1e-11)
             else:

@@ -5,6 +5,7 @@ each choice rounds in another way. A test that holds for one of them alone is re
 every machine gets what it would choose, as far as this CPU can run it.
 
     python tests/support/kernels.py [MACHINE...] [-- OPTIONS OF PYTEST]
+    env $(python tests/support/kernels.py --environment MACHINE) COMMAND
 """
 
 from __future__ import annotations
@@ -130,22 +131,22 @@ def environment_of(machine: Machine, dispatched: list[str]) -> dict[str, str]:
     forbidden = [name for name in dispatched if name.startswith(machine.without)]
     environment = {**os.environ, "OPENBLAS_CORETYPE": machine.core, "OPENBLAS_NUM_THREADS": "1"}
     if forbidden:
-        environment["NPY_DISABLE_CPU_FEATURES"] = " ".join(forbidden)
+        environment["NPY_DISABLE_CPU_FEATURES"] = ",".join(forbidden)
     if machine.glibc:
         names = ",".join(f"-{name}" for name in machine.glibc)
         environment["GLIBC_TUNABLES"] = f"glibc.cpu.hwcaps={names}"
     return environment
 
 
-def run_as(machine: Machine, own: Effective, options: list[str], *, is_named: bool) -> str:
+def run_as(machine: Machine, native: Effective, options: list[str], *, is_named: bool) -> str:
     """Run the tests as one machine would; return how that ended.
 
     What this CPU uses by itself is left out unless it is named: all other tests run with it.
     """
-    lacking = [name for name in machine.needs if name not in own["features"]]
+    lacking = [name for name in machine.needs if name not in native["features"]]
     if lacking:
         return f"skipped: this CPU lacks {', '.join(lacking)}"
-    environment = environment_of(machine, own["dispatched"])
+    environment = environment_of(machine, native["dispatched"])
     seen = probe(environment)
     cores, dispatched = seen["cores"], seen["dispatched"]
     if not cores:
@@ -156,7 +157,7 @@ def run_as(machine: Machine, own: Effective, options: list[str], *, is_named: bo
         return f"FAILED: OpenBLAS uses {cores} instead"
     if any(name.startswith(machine.without) for name in dispatched):
         return f"FAILED: numpy still uses {' '.join(dispatched)}"
-    if (cores, dispatched) == (own["cores"], own["dispatched"]) and not is_named:
+    if (cores, dispatched) == (native["cores"], native["dispatched"]) and not is_named:
         return "skipped: this CPU uses it by itself, as in all other tests"
     print(f"\n=== {machine.core} ===")
     for library, core in cores.items():
@@ -187,6 +188,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     names = [machine.core for machine in MACHINES]
     parser.add_argument("machines", nargs="*", metavar="MACHINE", help=", ".join(names))
+    parser.add_argument("--environment", choices=names, help="print its variables, run nothing")
     parser.add_argument("--effective", action="store_true", help=argparse.SUPPRESS)
     given = sys.argv[1:]
     cut = given.index("--") if "--" in given else len(given)
@@ -198,12 +200,19 @@ def main() -> int:
     if unknown:
         parser.error(f"no such machine: {', '.join(sorted(unknown))}")
     if platform.machine() not in ("x86_64", "AMD64") or not Path("/proc/self/maps").exists():
+        if arguments.environment:
+            return 0
         print(f"skipped: {platform.system()} on {platform.machine()} can't run x86-64's kernels")
         return 0
-    own = probe({**os.environ, "NPY_DISABLE_CPU_FEATURES": ""})
+    native = probe({**os.environ, "NPY_DISABLE_CPU_FEATURES": ""})
+    if arguments.environment:
+        [machine] = [item for item in MACHINES if item.core == arguments.environment]
+        changed = environment_of(machine, native["dispatched"]).items() - os.environ.items()
+        print(*(f"{name}={value}" for name, value in sorted(changed)))
+        return 0
     chosen = [item for item in MACHINES if item.core in (arguments.machines or names)]
     options, is_named = given[cut + 1 :], bool(arguments.machines)
-    ends = {item.core: run_as(item, own, options, is_named=is_named) for item in chosen}
+    ends = {item.core: run_as(item, native, options, is_named=is_named) for item in chosen}
     print("\n=== kernels ===")
     for core, end in ends.items():
         print(f"{core:10}{end}")

@@ -195,25 +195,6 @@ def test_hilti_s_table(error_m: float, points: int) -> None:
     assert HILTI.score.score(np.array([error_m, 1.0]), 4).value == pytest.approx(points / (4 / 5))
 
 
-@pytest.mark.parametrize(
-    "table",
-    [
-        ((), (), 100.0),
-        ((0.1,), (1.0, 2.0), 100.0),
-        ((0.2, 0.1), (2.0, 1.0), 1.0),
-        ((0.1, 0.1), (2.0, 1.0), 1.0),
-        ((0.0, 0.1), (2.0, 1.0), 1.0),
-        ((0.1, 0.2), (0.0, 1.0), 1.0),
-        ((0.1, 0.2), (2.0, 1.0), 0.0),
-    ],
-)
-def test_tables_that_can_t_be_meant(
-    table: tuple[tuple[float, ...], tuple[float, ...], float],
-) -> None:
-    with pytest.raises(SettingsError):
-        PointTable(*table)
-
-
 def test_a_lever_arm_needs_orientations() -> None:
     control, estimate, _ = surveyed()
     with pytest.raises(InputError, match="has no orientations, which a lever arm needs"):

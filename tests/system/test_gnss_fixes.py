@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 from fix_runs import DATUM, fixes_of, places_of, quality
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -50,22 +48,6 @@ def bag_of(path: Path, fixes: Trajectory) -> str:
 # Which fixes are used.
 
 
-def test_each_reason_counts_by_itself() -> None:
-    count = 12
-    places = places_of(np.arange(3.0 * count).reshape(-1, 3))
-    rows = quality(count)
-    rows[1, 0] = -1  # no fix
-    rows[2, :2] = -2, 0  # unknown, and no covariance
-    rows[3, 0] = -2  # unknown, but with a covariance: a receiver that fills in nothing else
-    places[4] = 0.0
-    places[5, 0] = np.nan
-    places[6, 2] = np.nan
-    places[7, 0] = 95.0
-    found = trajectory_of_rows("x", np.arange(count), places, rows, SourceInfo())
-    assert found.stamps.tolist() == [0, 3, 8, 9, 10, 11]
-    assert found.reading.dropped == {"no_fix": 3, "not_finite": 2, "no_height": 1}
-
-
 def test_fixes_without_height_have_a_place_in_the_plane_alone() -> None:
     positions = np.arange(18.0).reshape(-1, 3)
     places = places_of(positions)
@@ -85,44 +67,6 @@ def test_fixes_without_height_have_a_place_in_the_plane_alone() -> None:
     assert first.reading.fixes.datum == Datum(places[0, 0], places[0, 1], 0.0)
 
 
-def test_gates_are_the_fix_s_own() -> None:
-    rows = quality(6)
-    rows[:2, 0] = 0
-    rows[3, 2:] *= 100.0
-    rows[4, 1] = 0  # unknown, whatever stands there
-    fixes = fixes_of(np.arange(6), np.arange(18.0).reshape(-1, 3), rows)
-    gated = FixRule(min_status=2, max_sigma_m=0.05).applied(fixes)
-    assert gated.stamps.tolist() == [2, 5]
-    assert gated.reading.dropped == {
-        "below_fix_status": 2,
-        "fix_sigma_unknown": 1,
-        "fix_sigma_above_limit": 1,
-    }
-    # The first of those that are used is the origin.
-    assert gated.reading.fixes is not None
-    assert gated.reading.fixes.datum == Datum(*gated.reading.fixes.places[0])
-    assert np.abs(gated.positions[0]).max() == 0.0
-
-
-@pytest.mark.parametrize("diagonal", [0.0, -1.0, np.nan])
-def test_nothing_passes_as_a_sigma_of_nothing(diagonal: float) -> None:
-    rows = quality(5)
-    rows[1, 2] = diagonal
-    fixes = fixes_of(np.arange(5), np.arange(15.0).reshape(-1, 3), rows).reading.fixes
-    assert fixes is not None
-    assert np.isnan(fixes.sigma_level_m).tolist() == [False, True, False, False, False]
-    assert np.isnan(fixes.pose_covariances()[1]).all()
-
-
-def test_the_sigma_is_that_of_the_worst_level_axis() -> None:
-    rows = quality(2)
-    rows[:, 2:6] = [2.0, 1.5, 0.0, 1.5]
-    rows[:, 6] = 2.0
-    fixes = fixes_of(np.arange(2), np.arange(6.0).reshape(-1, 3), rows).reading.fixes
-    assert fixes is not None
-    np.testing.assert_allclose(fixes.sigma_level_m, np.sqrt(3.5))
-
-
 def test_the_datum_is_the_first_fix_in_time_or_the_one_that_is_given() -> None:
     positions = np.arange(12.0).reshape(-1, 3)
     found = fixes_of(np.array([30, 10, 20, 40]), positions)
@@ -131,12 +75,6 @@ def test_the_datum_is_the_first_fix_in_time_or_the_one_that_is_given() -> None:
     moved = FixRule(datum=DATUM).applied(found)
     np.testing.assert_array_equal(moved.positions, east_north_up(places_of(positions), DATUM))
     assert FixRule().applied(found) is found
-
-
-def test_bad_rules_are_refused() -> None:
-    for bad in ({"min_status": 5}, {"max_sigma_m": 0.0}, {"correlation_s": 0.0}):
-        with pytest.raises(SettingsError):
-            FixRule(**bad)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("value", [-1, -2])
@@ -234,46 +172,6 @@ def test_ros1(tmp_path: Path) -> None:
             message = types[FIX_TYPE](header, status, *place, covariance.ravel(), 2)
             writer.write(connection, stamp, store.serialize_ros1(message, FIX_TYPE))
     assert_same_fixes(read_trajectory(f"{tmp_path / 'x.bag'}:/fix"), fixes)
-
-
-@pytest.mark.parametrize("encoding", ["json", "protobuf"])
-def test_foxglove_s_location_fix(encoding: str, tmp_path: Path) -> None:
-    if encoding == "protobuf":
-        pytest.importorskip("foxglove_schemas_protobuf", reason="Foxglove's schemas are missing")
-    fixes, kind = antenna(), "foxglove.LocationFix"
-    assert fixes.reading.fixes is not None
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as file:
-        writer = McapWriter(file)
-        writer.start()
-        schema = writer.register_schema(
-            kind, "jsonschema" if encoding == "json" else "protobuf", b""
-        )
-        channel = writer.register_channel("/fix", encoding, schema)
-        rows = zip(
-            fixes.stamps.tolist(),
-            fixes.reading.fixes.places,
-            fixes.reading.fixes.covariances,
-            strict=True,
-        )
-        for stamp, place, covariance in rows:
-            seconds, nanoseconds = divmod(stamp, 10**9)
-            fields: dict[str, Any] = {
-                "frame_id": "gps",
-                **dict(zip(("latitude", "longitude", "altitude"), place.tolist(), strict=True)),
-                "position_covariance": covariance.ravel().tolist(),
-                "position_covariance_type": 2,
-            }
-            if encoding == "json":
-                fields["timestamp"] = {"sec": seconds, "nsec": nanoseconds}
-                data = json.dumps(fields).encode()
-            else:
-                module = importlib.import_module("foxglove_schemas_protobuf.LocationFix_pb2")
-                fields["timestamp"] = {"seconds": seconds, "nanos": nanoseconds}
-                data = module.LocationFix(**fields).SerializeToString()
-            writer.add_message(channel, stamp, data, stamp)
-        writer.finish()
-    assert_same_fixes(read_trajectory(f"{path}:/fix"), fixes)
 
 
 def test_two_receivers_on_one_topic_are_refused(tmp_path: Path) -> None:
@@ -578,3 +476,9 @@ def test_noisy_fixes_of_a_slow_robot_are_not_of_another_run(
         found[name] = {finding["cause"] for finding in run["diagnosis"]}
     assert "other_run" not in found["fix"]
     assert found["shifted"] & {"other_run", "clock_offset"}
+
+
+def test_bad_rules_are_refused() -> None:
+    for bad in ({"min_status": 5}, {"max_sigma_m": 0.0}, {"correlation_s": 0.0}):
+        with pytest.raises(SettingsError):
+            FixRule(**bad)  # type: ignore[arg-type]

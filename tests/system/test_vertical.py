@@ -132,22 +132,6 @@ def test_what_motion_shows_a_vertical(inside: Trajectory, outside: Trajectory) -
     assert vertical_axis_of(outside.positions, outside.quaternions) is None
 
 
-def test_from_what_angle_on_an_axis_is_doubted_and_another_named() -> None:
-    assert up_axis_doubt(turned(circling(), 44.5)) == ""
-    assert "which is not an axis" in up_axis_doubt(turned(circling(), 45.5))
-    assert "which is not an axis" in up_axis_doubt(turned(circling(), 69.5))
-    assert "the y axis" in up_axis_doubt(turned(circling(), 70.5))
-
-
-def test_of_long_runs_two_thousand_states_are_looked_at() -> None:
-    for count, is_seen in ((4_000, False), (2_000, True)):
-        run = circling(count)
-        assert run.quaternions is not None
-        rolled = run.quaternions.copy()
-        rolled[1::2] = circling(count, roll_deg=90.0).quaternions[1::2]  # type: ignore[index]
-        assert (vertical_axis_of(run.positions, rolled) is None) is is_seen
-
-
 def test_a_format_is_doubted_as_well() -> None:
     truth = dataclasses.replace(car(1), up=UpAxis("-y", "KITTI's camera axes"))
     assert "-y (KITTI's camera axes) is probably not the vertical axis" in up_axis_doubt(truth)

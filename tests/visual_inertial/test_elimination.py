@@ -19,60 +19,6 @@ from trajeval_ros.visual_inertial.visibility import Visibility
 KEYFRAMES, LANDMARKS = 50, 12
 
 
-@st.composite
-def visibilities(draw: st.DrawFn) -> Visibility:
-    """Observations in any order; some keyframes and landmarks have none."""
-    seen = np.zeros((KEYFRAMES, LANDMARKS), dtype=bool)
-    for landmark in range(LANDMARKS):
-        first = draw(st.integers(0, KEYFRAMES - 1))
-        length = draw(st.sampled_from([0, 1, 2, 5, 9, 20, KEYFRAMES]))
-        seen[first : first + length : draw(st.integers(1, 3)), landmark] = True
-    seen[draw(st.integers(0, KEYFRAMES - 1)), draw(st.integers(0, LANDMARKS - 1))] = True
-    keyframe_of, landmark_of = np.nonzero(seen)
-    order = np.random.default_rng(draw(st.integers(0, 9))).permutation(len(keyframe_of))
-    return Visibility(keyframe_of[order], landmark_of[order], KEYFRAMES, LANDMARKS)
-
-
-@given(visibilities(), st.integers(0, 9))
-def test_sums_are_those_of_a_loop(visibility: Visibility, seed: int) -> None:
-    values = np.random.default_rng(seed).normal(size=(2, 3, len(visibility.keyframe_of)))
-    expected = np.zeros((2, 3, KEYFRAMES)), np.zeros((2, 3, LANDMARKS))
-    for place, column in enumerate(np.moveaxis(values, -1, 0)):
-        expected[0][..., visibility.keyframe_of[place]] += column
-        expected[1][..., visibility.landmark_of[place]] += column
-    np.testing.assert_allclose(visibility.by_keyframe(values), expected[0], atol=1e-12)
-    np.testing.assert_allclose(visibility.by_landmark(values), expected[1], atol=1e-12)
-
-
-@given(visibilities(), st.integers(0, 9))
-def test_products_of_windows_add_up_to_the_product(visibility: Visibility, seed: int) -> None:
-    blocks = np.random.default_rng(seed).normal(size=(6, 3, len(visibility.keyframe_of)))
-    whole = np.zeros((KEYFRAMES, 6, LANDMARKS, 3))
-    whole[visibility.keyframe_of, :, visibility.landmark_of] = np.moveaxis(blocks, -1, 0)
-    whole = whole.reshape(6 * KEYFRAMES, -1)
-    total = np.zeros((6 * KEYFRAMES, 6 * KEYFRAMES))
-    for window in visibility.windows:
-        own = slice(6 * window.first, 6 * window.last)
-        dense = window.dense(blocks)
-        assert dense.shape == (6 * window.keyframes, 3 * window.landmarks)
-        total[own, own] += dense @ dense.T
-    np.testing.assert_allclose(total, whole @ whole.T, atol=1e-12)
-    observations = np.concatenate([window.observations for window in visibility.windows])
-    assert sorted(observations) == list(range(len(visibility.keyframe_of)))
-
-
-@given(visibilities())
-def test_a_long_track_does_not_widen_the_windows_of_short_ones(visibility: Visibility) -> None:
-    assert len(visibility.windows) > 0
-    for window in visibility.windows:
-        longest = 1
-        for landmark in np.unique(visibility.landmark_of[window.observations]):
-            seen = visibility.keyframe_of[visibility.landmark_of == landmark]
-            longest = max(longest, int(np.ptp(seen)) + 1)
-        # Tracks of up to 2^k begin within 2^k keyframes; the shortest k is 3.
-        assert window.keyframes <= max(4 * longest, 16) or longest > KEYFRAMES // 4
-
-
 def _banded(track: int, keyframes: int) -> Visibility:
     """Every landmark is seen from `track` keyframes in sequence."""
     landmarks = keyframes - track + 1

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_bags import simple, the_file
 from mcap.records import Channel, Schema
-from mcap_layouts import Layout, Part, record
+from mcap_layouts import Layout, Part
 from memory_file import Memory
 
 from tests.io.bags.test_sqlite_rows import rows_of
@@ -29,7 +29,6 @@ from trajeval_ros.io.bags.foxglove import FIX_TYPE, FoxglovePlan
 from trajeval_ros.io.bags.mcap_bag import McapReader
 from trajeval_ros.io.bags.mcap_chunk_reading import read_chunk
 from trajeval_ros.io.bags.mcap_contents import read_summary
-from trajeval_ros.io.bags.message_definitions import Connection, recorded_fields
 from trajeval_ros.io.bags.write_bag import POSE_STAMPED
 from trajeval_ros.io.sources import read_trajectory
 
@@ -46,9 +45,9 @@ class Counting(Memory):
         self.taken = 0
 
     def read(self, offset: int, size: int) -> bytes:
-        found = super().read(offset, size)
-        self.taken += len(found)
-        return found
+        result = super().read(offset, size)
+        self.taken += len(result)
+        return result
 
 
 def sparse(count: int = 12, image: int = 60_000, pose: int = 30) -> list[Message]:
@@ -67,29 +66,18 @@ def test_only_what_the_index_lists_is_read_of_a_chunk(image: int, pose: int) -> 
     content = bytes(Layout([], CHANNELS, [Part(rows)]))
     [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
     source: Any = Counting(content)
-    found = read_chunk(source, chunk, {POSE}, strict=False)
-    assert rows_of([found.block]) == [row for row in rows if row[0] == POSE]
-    assert found.damage == ""
+    result = read_chunk(source, chunk, {POSE}, strict=False)
+    assert rows_of([result.block]) == [row for row in rows if row[0] == POSE]
+    assert result.damage == ""
     # Messages nearer than 64 KiB are read with what is between them.
     is_sparse = image + pose + 62 > GAP
-    assert found.is_partial == is_sparse
+    assert result.is_partial == is_sparse
     assert (source.taken < 0.5 * chunk.size) == is_sparse
     whole = read_chunk(source, chunk, {POSE}, strict=True)
     assert not whole.is_partial
-    assert rows_of([whole.block]) == rows_of([found.block])
+    assert rows_of([whole.block]) == rows_of([result.block])
     both = read_chunk(source, chunk, {POSE, IMAGE}, strict=False)
     assert rows_of([both.block]) == rows
-
-
-def test_the_last_message_of_a_chunk_may_be_longer_than_what_is_read_at_once() -> None:
-    for size in (4000, 4065, 4066, 4096, 20_000):
-        rows = [(IMAGE, 0, bytes(200_000)), (POSE, 1, bytes(size)), (OTHER, 2, b"")]
-        for given_ in (rows, rows[:2]):
-            content = bytes(Layout([], CHANNELS, [Part(given_)]))
-            [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
-            found = read_chunk(Counting(content), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
-            assert rows_of([found.block]) == [rows[1]]
-            assert found.is_partial
 
 
 @pytest.mark.parametrize("field", ["opcode", "length", "channel", "size", "time", "offset"])
@@ -104,14 +92,14 @@ def test_a_damaged_index_costs_bytes_and_no_message(field: str, channel: int) ->
         changed = bytearray(content)
         at = place + offsets[field]
         changed[at] = (changed[at] + change) % 256
-        wanted = {POSE, OTHER}
-        found = read_chunk(Counting(bytes(changed)), chunk, wanted, strict=False)  # type: ignore[arg-type]
-        assert not found.is_partial
-        assert found.damage == ""
-        assert found.block is not None
-        assert rows_of([found.block]) == [row for row in rows if row[0] in wanted]
+        expected = {POSE, OTHER}
+        result = read_chunk(Counting(bytes(changed)), chunk, expected, strict=False)  # type: ignore[arg-type]
+        assert not result.is_partial
+        assert result.damage == ""
+        assert result.block is not None
+        assert rows_of([result.block]) == [row for row in rows if row[0] in expected]
     cut = content[: place + 10]
-    assert found.block is not None
+    assert result.block is not None
     short = read_chunk(Counting(cut), chunk, {channel}, strict=False)  # type: ignore[arg-type]
     assert short.block is not None
     assert rows_of([short.block]) == [row for row in rows if row[0] == channel]
@@ -125,10 +113,10 @@ def test_a_damaged_message_of_a_part_is_found_by_its_head() -> None:
     for at, is_found in ((0, True), (4, True), (9, True), (15, True), (11, False), (35, False)):
         changed = bytearray(content)
         changed[place + at] ^= 1
-        found = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
+        result = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
         # The sequence number and the payload are verified by the checksum of the whole chunk only.
-        assert found.is_partial == (not is_found)
-        assert ("checksum" in found.damage) == is_found
+        assert result.is_partial == (not is_found)
+        assert ("checksum" in result.damage) == is_found
     for end in (place + 20, place + 60):
         cut = read_chunk(Counting(content[:end]), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
         assert cut.block is None
@@ -165,13 +153,13 @@ def test_messages_of_any_window_are_read_in_order_of_the_pieces(
     with mock.patch.object(mcap_bag, "_IN_FLIGHT", most):
         blocks = list(reader.blocks(selections, *window))
     begin, end = window
-    wanted = [
+    expected = [
         row
         for part in parts
         for row in part.rows
         if row[0] != IMAGE and (begin is None or row[1] >= begin) and (end is None or row[1] < end)
     ]
-    assert sorted(rows_of(blocks)) == sorted(wanted)
+    assert sorted(rows_of(blocks)) == sorted(expected)
     earliest = [block.earliest for block in blocks]
     assert earliest == sorted(earliest)
     assert all(block.earliest <= block.log_times.min() for block in blocks)
@@ -246,12 +234,12 @@ def test_a_fix_of_foxglove_without_covariance_has_zeros() -> None:
     plan = FoxglovePlan(FIX_TYPE, "json")
     full = {**message, "position_covariance": [*range(9)], "position_covariance_type": 3}
     short = {**message, "position_covariance": [1.0] * 8}
-    found = plan.decode([json.dumps(item).encode() for item in (message, short, full)])
-    assert found.rows.tolist() == [0, 2]
-    np.testing.assert_array_equal(found.numbers["position_covariance"], [[0] * 9, range(9)])
-    assert found.numbers["position_covariance_type"].tolist() == [0, 3]
-    assert found.numbers["altitude"].tolist() == [400, 400]
-    assert found.numbers["header.stamp.nanosec"].tolist() == [4, 4]
+    result = plan.decode([json.dumps(item).encode() for item in (message, short, full)])
+    assert result.rows.tolist() == [0, 2]
+    np.testing.assert_array_equal(result.numbers["position_covariance"], [[0] * 9, range(9)])
+    assert result.numbers["position_covariance_type"].tolist() == [0, 3]
+    assert result.numbers["altitude"].tolist() == [400, 400]
+    assert result.numbers["header.stamp.nanosec"].tolist() == [4, 4]
     for sec, nsec, is_time in (
         (-(2**31), 0, True),
         (-(2**31) - 1, 0, False),
@@ -266,55 +254,3 @@ def test_a_fix_of_foxglove_without_covariance_has_zeros() -> None:
         assert len(plan.decode([json.dumps(stamped).encode()]).rows) == is_time
     for wrong in ({"frame_id": 3}, {"latitude": "47"}, {"latitude": None}, {"altitude": True}):
         assert not len(plan.decode([json.dumps({**message, **wrong}).encode()]).rows)
-
-
-@pytest.mark.parametrize(("count", "is_accepted"), [(500, True), (501, False)])
-def test_a_time_is_two_fields(count: int, *, is_accepted: bool) -> None:
-    text = "".join(f"builtin_interfaces/Time f{row}\n" for row in range(count))
-    connection = Connection(0, "/x", "a/msg/T", "MSG", text, 0, "cdr", None)
-    assert (recorded_fields(connection) is not None) == is_accepted
-
-
-def test_a_chunk_that_is_no_chunk_is_damaged() -> None:
-    content = bytes(Layout([], CHANNELS, [Part([(POSE, 1, b"pose")], compression="zstd")]))
-    [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
-    for at, change, said in (
-        (0, 1, "misplaced"),
-        (1, 1, "misplaced"),
-        (25, 1, "invalid size"),
-        (33, 1, "checksum"),
-        (60, 1, "decompressed|checksum"),
-    ):
-        changed = bytearray(content)
-        changed[chunk.offset + at] ^= change
-        found = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=True)  # type: ignore[arg-type]
-        assert found.block is None
-        assert any(word in found.damage for word in said.split("|"))
-
-
-@pytest.mark.parametrize(("most", "size"), [(3, 10**6), (1000, 100), (4, 100)])
-def test_messages_outside_of_chunks_come_in_bounded_blocks(most: int, size: int) -> None:
-    rows = [(POSE, row, bytes(5 + row % 20)) for row in range(40)]
-    reader = McapReader(Memory(bytes(Layout([], CHANNELS, [Part(rows, is_chunk=False)]))))  # type: ignore[arg-type]
-    with mock.patch.multiple(mcap_bag, ROWS=most, BYTES=size):
-        blocks = list(reader.blocks([TopicSelection(frozenset({POSE}))]))
-    assert rows_of(blocks) == rows
-    assert max(map(len, blocks)) <= most
-    assert max(int(block.sizes.sum()) for block in blocks) < size + 25
-    assert len(blocks) <= 40 / most + sum(len(payload) for *_, payload in rows) / size + 1
-
-
-@pytest.mark.parametrize(("between", "count"), [(0, 1), (5, 1), (6, 8), (300, 8)])
-def test_messages_outside_of_chunks_are_read_with_what_is_little_between(
-    between: int, count: int
-) -> None:
-    parts = [
-        Part([(POSE, row, bytes([row]))], is_chunk=False, behind=record(0x90, bytes(between)))
-        for row in range(8)
-    ]
-    source: Any = Memory(bytes(Layout([], CHANNELS, parts)))
-    reader = McapReader(source)
-    with mock.patch.object(source, "read_all", side_effect=source.read_all) as read_all:
-        blocks = list(reader.blocks([TopicSelection(frozenset({POSE}))]))
-    assert rows_of(blocks) == [part.rows[0] for part in parts]
-    assert [len(ranges) for (ranges,), _ in read_all.call_args_list] == [count]

@@ -7,6 +7,7 @@ import sqlite3
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -287,3 +288,37 @@ def test_a_damaged_row_number_loses_no_other_row(tmp_path: Path) -> None:
     whole, queried = read(path, {1})
     assert whole == queried
     assert sorted(whole) == rows
+
+
+def read_window(
+    path: Path, *window: Any, in_order: bool = False
+) -> tuple[list[Message], list[str]]:
+    reader = SqliteReader(path, path.name)
+    selection = TopicSelection(frozenset({1, 2}))
+    result = rows_of(reader.blocks([selection], *window, in_order=in_order))
+    reader.close()
+    return result, [*reader.damage, *selection.damage]
+
+
+def test_windows_and_orders_of_rows(tmp_path: Path) -> None:
+    rows = [(1 + row % 3, (7 * row) % 50, bytes([row])) for row in range(60)]
+    path = bag(tmp_path / "x.db3", rows)
+    expected = [item for item in rows if item[0] != 3]
+    assert read_window(path) == (expected, [])
+    for begin, end in ((None, 20), (20, None), (13, 27), (14, 14), (0, 50)):
+        inside = [
+            item
+            for item in expected
+            if (begin is None or item[1] >= begin) and (end is None or item[1] < end)
+        ]
+        assert read_window(path, begin, end) == (inside, [])
+        ordered = sorted(inside, key=lambda item: item[1])
+        assert read_window(path, begin, end, in_order=True) == (ordered, [])
+    reader = SqliteReader(path, "x")
+    assert reader.span == (0, 49)
+    assert [reader.count(topic) for topic in (1, 2, 3, 4)] == [20, 20, 20, 0]
+    assert [connection.count for connection in reader.connections] == [-1] * 3
+    reader.close()
+    empty = SqliteReader(bag(tmp_path / "empty.db3", []), "empty")
+    assert empty.span is None
+    empty.close()

@@ -1,4 +1,4 @@
-"""Values of settings at their limits, and joint covariances in every form that a file can have."""
+"""Values of settings, and joint covariances in every form that a file can have."""
 
 from __future__ import annotations
 
@@ -21,39 +21,12 @@ from trajeval_ros.io.covariance_file import read_joint_covariance, write_joint_c
 from trajeval_ros.io.npz_file import write_arrays
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import (
-    Setting,
-    as_text,
-    parse_lever,
     parse_noise,
-    parse_recall,
-    parse_score,
     parse_up,
 )
 from trajeval_ros.io.requests.settings_table import SETTINGS, settings_with
-from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
 
 Array = NDArray[Any]
-
-
-@pytest.mark.parametrize(
-    ("text", "lever"),
-    [
-        ("none", None),
-        ("0.4,0.2,1.0", (0.4, 0.2, 1.0)),
-        ("-999.9, 999.9,0", (-999.9, 999.9, 0.0)),
-        ("1000,0,0", "refused"),
-        ("0,-1000,0", "refused"),
-        ("0,0,nan", "refused"),
-        ("0,0", "refused"),
-        ("0,0,0,0", "refused"),
-        ("", "refused"),
-    ],
-)
-def test_a_lever_arm_is_three_numbers_below_a_kilometre(text: str, lever: Any) -> None:
-    if lever == "refused":
-        assert is_refused(parse_lever, text)
-    else:
-        assert parse_lever(text) == lever
 
 
 @pytest.mark.parametrize(
@@ -84,104 +57,6 @@ def test_up_axes_are_one_or_two() -> None:
     assert parse_up("-y, z") == ("-y", "z")
     for wrong in ("w", "z,w", "z,z,z", ""):
         assert is_refused(parse_up, wrong)
-
-
-@pytest.mark.parametrize(
-    ("kind", "value", "found"),
-    [
-        (str, None, "none"),
-        (str, [], "none"),
-        (str, [8, 16.5, "x"], "8,16.5,x"),
-        (str, 3, "3"),
-        (str, True, "refused"),
-        (str, [True], "refused"),
-        (str, [[1]], "refused"),
-        (str, {"a": 1}, "refused"),
-        (float, 3, 3.0),
-        (float, 2.5, 2.5),
-        (float, True, "refused"),
-        (float, "3", "refused"),
-        (int, 3, 3),
-        (int, 3.0, "refused"),
-        (int, True, "refused"),
-        (bool, True, True),
-        (bool, 1, "refused"),
-        (dict, {"a": 1}, {"a": 1}),
-        (dict, None, None),
-        (dict, 3, "refused"),
-    ],
-)
-def test_values_of_yaml_have_the_type_of_their_setting(kind: type, value: Any, found: Any) -> None:
-    setting = Setting(name="x", help="", kind=kind)
-    if isinstance(found, str) and found == "refused":
-        words = {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}
-        with pytest.raises(SettingsError, match=f"x must be {words.get(kind, 'a mapping')}, not"):
-            setting.of_yaml(value)
-        return
-    assert setting.of_yaml(value) == found
-    assert type(setting.of_yaml(value)) is type(found)
-
-
-def test_defaults_are_written_as_on_the_command_line() -> None:
-    for value, text in (
-        ([8.0, 16.0], "8,16"),
-        ([], "none"),
-        (0.5, "0.5"),
-        (1e-7, "1e-07"),
-        ("8m", "8"),
-        ("all", "all"),
-        (3, "3"),
-        (["8m", "10%"], "8,10%"),
-    ):
-        assert as_text(value) == text
-
-
-def test_tables_of_points() -> None:
-    table = {"bounds_m": [0.1, 1], "points": [10, 5.5], "best": 20, "dimensions": 2}
-    found = parse_score(table)
-    assert isinstance(found, PointTable)
-    assert (found.bounds_m, found.points, found.best, found.dimensions) == (
-        *((0.1, 1.0), (10.0, 5.5), 20.0, 2),
-    )
-    knots = parse_score({"knots_m": [0, 1], "points": [20, 5], "best": 20})
-    assert isinstance(knots, KnotTable)
-    assert knots.dimensions == 3
-    default = parse_score({"bounds_m": [0.1], "points": [10]})
-    assert isinstance(default, PointTable)
-    assert (default.best, default.dimensions) == (PointTable.best, 3)
-    recall = parse_recall({"bounds_m": [0.1, 0.2], "dimensions": 2})
-    assert recall == RecallRule((0.1, 0.2), 2)
-    assert parse_score(None) is parse_recall(None) is None
-    for name, value in (
-        ("points", 3),
-        ("points", [True, 1]),
-        ("points", ["1", 2]),
-        ("points", [1e9, 5]),
-        ("best", "x"),
-        ("best", -1e9),
-        ("dimensions", None),
-        ("other", 1),
-    ):
-        assert is_refused(parse_score, {**table, name: value})
-    assert is_refused(parse_recall, {"bounds_m": 1.0})
-    assert is_refused(parse_recall, {"points": [1.0]})
-    assert not is_refused(parse_score, {**table, "points": [0.99e9, 5.5], "best": 0.999e9})
-
-
-@pytest.mark.parametrize(
-    ("text", "limits"),
-    [("0.5", (0.5, None)), ("0.5,2", (0.5, 2.0)), ("0.5,2,3", None), ("", None), ("x", None)],
-)
-def test_alert_limits_are_metres_and_degrees(text: str, limits: Any) -> None:
-    settings = {"covariance": "message", "alert_limit": text, "gauge": "yaw"}
-    if limits is None:
-        assert is_refused(request_from, settings)
-        return
-    for risk, expected in ((None, 1e-3), (0.01, 0.01)):
-        found = request_from({**settings, "risk": risk}).integrity
-        assert found is not None
-        assert (found.alert_limit_m, found.alert_limit_deg) == limits
-        assert found.risk == (expected if risk else type(found).risk)
 
 
 def test_settings_of_a_live_run_fill_in_defaults_that_are_not_of_the_protocol() -> None:
