@@ -298,9 +298,14 @@ def test_poses_lost_to_damage_are_told(tmp_path: Path, name: str) -> None:
     assert f"{name} is damaged or truncated: the last " in said[0]
 
 
-def test_a_groundtruth_without_poses_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("torn", ["", "x"])
+def test_a_groundtruth_without_poses_is_refused(tmp_path: Path, torn: str) -> None:
     write_estimate(tmp_path / "vio.states", state_with(settings__gauge="yaw"))
-    (tmp_path / GROUNDTRUTH).unlink()
-    StateWriter(tmp_path / GROUNDTRUTH, {"source": "/truth", "name": "truth"}).close()
-    with pytest.raises(InputError, match=r"^/vio: no usable pose in truth$"):
+    path = tmp_path / GROUNDTRUTH
+    path.unlink()
+    StateWriter(path, {"source": "/truth", "name": "truth"}).close()
+    path.write_bytes(path.read_bytes() + torn.encode())
+    damage = "; groundtruth.states is damaged or truncated: the last 1 byte can't be read"
+    with pytest.raises(InputError) as refused:
         evaluate_folder(tmp_path)
+    assert str(refused.value) == f"/vio: no usable pose in truth{damage if torn else ''}"

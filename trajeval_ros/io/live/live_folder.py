@@ -111,6 +111,9 @@ def _evaluate(
         raise InputError(f"{path.stem}: no pose so far")
     try:
         return _of_states(path, groundtruth, recorded, request, align_with)
+    except InputError as error:
+        damage = [remark.text for side in (groundtruth, recorded) for remark in side.remarks]
+        raise InputError("; ".join([str(error), *damage])) from error
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} is damaged or from another version: {error!r}") from error
 
