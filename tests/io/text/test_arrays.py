@@ -163,7 +163,7 @@ def test_json_lines(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is not valid JSON: its objects are nested too deeply"):
         read_trajectory(path)
     path.write_text('[{"time": 1.0},\n{"time" 2.0}]')
-    with pytest.raises(InputError, match="is not valid JSON: .* line 2 column 9"):
+    with pytest.raises(InputError, match=r"is not valid JSON: .* line 2 column 9"):
         read_trajectory(path)
 
 

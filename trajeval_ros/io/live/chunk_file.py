@@ -63,8 +63,7 @@ class ChunkWriter:
         body = said + rows.tobytes()
         if len(self._waiting) + len(body) > _MOST_WAITING or len(said) > _LONGEST_TEXT:
             return False
-        if body:
-            self._waiting += _HEAD.pack(magic, len(rows), len(said), zlib.crc32(body)) + body
+        self._waiting += _HEAD.pack(magic, len(rows), len(said), zlib.crc32(body)) + body
         return True
 
     def close(self) -> None:
@@ -158,7 +157,7 @@ def _next_chunk(file: BinaryIO, left: int, kinds: Kinds) -> Chunk | None:
     if (kind := kinds.get(magic)) is None:
         return None
     size = length + count * kind.itemsize
-    if not 0 < size <= min(left - _HEAD.size, _MOST_WAITING) or length > _LONGEST_TEXT:
+    if size > min(left - _HEAD.size, _MOST_WAITING) or length > _LONGEST_TEXT:
         return None
     said, table = file.read(length), file.read(count * kind.itemsize)
     if len(said) + len(table) < size or zlib.crc32(table, zlib.crc32(said)) != checksum:
