@@ -119,8 +119,8 @@ def evenly(count: int, selected: int) -> Indices:
 
 
 def every_nth(count: int, most: int) -> slice:
-    """Return the slice of every n-th of `count` > 0 rows, with the least n for at most `most`."""
-    return slice(None, None, -(-count // most))
+    """Return the slice of every n-th of `count` rows, with the least n for at most `most`."""
+    return slice(None, None, max(1, -(-count // most)))
 
 
 def at_rate(stamps: Stamps, rate_hz: float) -> Indices:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import struct
+import zlib
 from pathlib import Path
 from unittest import mock
 
@@ -15,7 +17,7 @@ from hypothesis import strategies as st
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.io.live import chunk_file
-from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks, read_tables
+from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
 
 KINDS = {
@@ -44,7 +46,8 @@ def test_tables_of_all_kinds_are_read_as_written(
             two.append(stamps)
             writer.add(b"TWO_", stamps)
     writer.close()
-    tables = read_tables(path, KINDS, "tables/1", "table")
+    found = read_chunks(path, KINDS, "tables/1", "table")
+    tables = {magic: np.concatenate(found.rows_of(kind)) for magic, kind in KINDS.items()}
     expected = np.concatenate([np.zeros(0), *one])
     first, second = (tables[b"ONE_"][name].tolist() for name in KINDS[b"ONE_"].names or ())
     assert (first, second) == (
@@ -53,11 +56,12 @@ def test_tables_of_all_kinds_are_read_as_written(
     )
     [name] = KINDS[b"TWO_"].names or ()
     assert tables[b"TWO_"][name].tolist() == np.concatenate([np.zeros(0), *two]).tolist()
-    found, rest = read_chunks(path, KINDS)
-    assert rest == 0
-    assert [len(rows) for _, rows in found] == [0, *(rows for _, rows in chunks)]
+    assert (found.torn, found.description) == (0, {"format": "tables/1"})
+    assert [len(rows) for rows in found.rows] == [rows for _, rows in chunks if rows]
+    texts = [place for place, (is_one, _) in enumerate(chunks) if is_one]
+    assert found.told == sum(rows > 0 for _, rows in chunks[: texts[-1] if texts else 0])
     with pytest.raises(InputError, match="tables has schema tables/1"):
-        read_tables(path, KINDS, "tables/2", "table")
+        read_chunks(path, KINDS, "tables/2", "table")
 
 
 @pytest.mark.parametrize("more", [0, 1])
@@ -68,8 +72,25 @@ def test_a_chunk_waits_if_there_is_memory_for_it(tmp_path: Path, more: int) -> N
         assert writer.add(b"TWO_", np.zeros(10, dtype=np.int64))
         assert writer.add(b"TWO_", np.zeros(3 + more, dtype=np.int64)) == (not more)
     writer.close()
-    stamps = read_tables(tmp_path / "x", KINDS, "tables/1", "table")[b"TWO_"]
-    assert len(stamps) == (10 if more else 13)
+    found = read_chunks(tmp_path / "x", KINDS, "tables/1", "table").rows
+    assert sum(map(len, found)) == (10 if more else 13)
+
+
+def test_a_text_longer_than_that_of_any_run_ends_a_file(tmp_path: Path) -> None:
+    """Its objects would take 20 times its length of memory."""
+    path = tmp_path / "x"
+    ChunkWriter(path, KINDS, {"format": "tables/1"}).close()
+    text = b'{"a": "' + bytes(16 * 1024 * 1024) + b'"}'
+    chunk = struct.pack("<4sIII", b"TWO_", 0, len(text), zlib.crc32(text)) + text
+    with path.open("ab") as file:
+        file.write(chunk)
+    assert read_chunks(path, KINDS, "tables/1", "table").torn == len(chunk)
+
+
+def test_a_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "x")
+    with pytest.raises(InputError, match="x can't be read: it is not a regular file"):
+        read_chunks(tmp_path / "x", KINDS, "tables/1", "table")
 
 
 def test_trouble_of_the_disk_at_the_end_is_told(tmp_path: Path) -> None:
@@ -104,6 +125,6 @@ def test_fixes_are_read_as_written(tmp_path: Path) -> None:
     for part in (slice(0, 3), slice(3, 7)):
         writer.append(np.arange(7)[part], fixes_of_rows(rows[part, :3], rows[part, 3:]))
     writer.close()
-    stamps, found = read_fix_rows(tmp_path)
-    assert stamps.tolist() == list(range(7))
+    stamps, found, remarks = read_fix_rows(tmp_path)
+    assert (stamps.tolist(), remarks) == (list(range(7)), [])
     np.testing.assert_array_equal(found, rows)

@@ -276,3 +276,36 @@ def test_poses_of_an_unknown_reception_are_not_available(tmp_path: Path, unknown
         return
     assert available.latency_s is not None
     assert available.latency_s.max == pytest.approx(STEP_NS / 5e9)
+
+
+@pytest.mark.parametrize("name", [GROUNDTRUTH, "vio.revised"])
+def test_poses_lost_to_damage_are_told(tmp_path: Path, name: str) -> None:
+    """A file is read up to its first damage, wherever that is."""
+    write_estimate(tmp_path / "vio.states")
+    stamps, truth, estimate = columns()
+    revised = StateWriter(tmp_path / "vio.revised", DESCRIPTION)
+    (tmp_path / GROUNDTRUTH).unlink()
+    reference = StateWriter(tmp_path / GROUNDTRUTH, {"source": "/truth", "name": "truth"})
+    for writer, rows in ((revised, estimate), (reference, truth)):
+        for some in (slice(0, 60), slice(60, None)):
+            writer.append(trajectory(stamps[some], rows[some]))
+        writer.close()
+    content = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(content[:-1])
+    [found] = evaluate_folder(tmp_path).runs
+    said = [item.text for item in found.evaluation.remarks if item.code == "damaged_states"]
+    assert len(said) == 1
+    assert f"{name} is damaged or truncated: the last " in said[0]
+
+
+@pytest.mark.parametrize("torn", ["", "x"])
+def test_a_groundtruth_without_poses_is_refused(tmp_path: Path, torn: str) -> None:
+    write_estimate(tmp_path / "vio.states", state_with(settings__gauge="yaw"))
+    path = tmp_path / GROUNDTRUTH
+    path.unlink()
+    StateWriter(path, {"source": "/truth", "name": "truth"}).close()
+    path.write_bytes(path.read_bytes() + torn.encode())
+    damage = "; groundtruth.states is damaged or truncated: the last 1 byte can't be read"
+    with pytest.raises(InputError) as refused:
+        evaluate_folder(tmp_path)
+    assert str(refused.value) == f"/vio: no usable pose in truth{damage if torn else ''}"

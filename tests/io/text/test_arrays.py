@@ -159,6 +159,12 @@ def test_json_lines(tmp_path: Path) -> None:
     path.write_text('{"time": 1.0, "x": 1.0}\n')
     with pytest.raises(InputError, match="position"):
         read_trajectory(path)
+    path.write_text('{"a":' * 3000 + "1" + "}" * 3000)
+    with pytest.raises(InputError, match="is not valid JSON: its objects are nested too deeply"):
+        read_trajectory(path)
+    path.write_text('[{"time": 1.0},\n{"time" 2.0}]')
+    with pytest.raises(InputError, match=r"is not valid JSON: .* line 2 column 9"):
+        read_trajectory(path)
 
 
 def test_semicolons_without_a_header(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import os
 import struct
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, reason_of
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.io.json_file import json_text, mapping_in, require_schema
 
 Chunk = tuple[dict[str, Any], NDArray[Any]]
@@ -26,6 +29,7 @@ Kinds = Mapping[bytes, np.dtype[Any]]  # types of rows by magic number
 _HEAD = struct.Struct("<4sIII")
 # Memory for chunks while the disk accepts none; beyond it, chunks are lost.
 _MOST_WAITING = 64 * 1024 * 1024
+_LONGEST_TEXT = 1 << 24  # bytes; JSON takes up to 20 times of them in memory
 
 
 class ChunkWriter:
@@ -57,7 +61,7 @@ class ChunkWriter:
             rows[name] = column
         header = b"" if text is None else json_text(text).encode()
         body = header + rows.tobytes()
-        if len(self._waiting) + len(body) > _MOST_WAITING:
+        if len(self._waiting) + len(body) > _MOST_WAITING or len(header) > _LONGEST_TEXT:
             return False
         self._waiting += _HEAD.pack(magic, len(rows), len(header), zlib.crc32(body)) + body
         return True
@@ -90,34 +94,54 @@ class ChunkWriter:
         self.trouble = ""
 
 
-def read_tables(path: Path, kinds: Kinds, schema: str, what: str) -> dict[bytes, NDArray[Any]]:
-    """Return the rows of every kind; refuses a file with another schema."""
-    chunks, _ = read_chunks(path, kinds)
-    schema_of_file = chunks[0][0].get("format") if chunks else None
-    require_schema(path, schema_of_file, schema, what, "evaluate a recording of the run")
-    tables = {}
-    for magic, kind in kinds.items():
-        parts = [np.empty(0, kind), *(item for _, item in chunks if item.dtype == kind)]
-        tables[magic] = np.concatenate(parts).astype(kind.newbyteorder("="))
-    return tables
+@dataclass(frozen=True, eq=False)
+class Chunks:
+    """The content of a file of chunks, up to its end or to its first damage."""
+
+    description: dict[str, Any]  # the first text; empty if there is none
+    newest: dict[str, Any]  # the newest text after it; empty if there is none
+    rows: list[NDArray[Any]]  # of all chunks with rows
+    told: int  # number of items of `rows` before the newest text
+    torn: int  # number of bytes after the last valid chunk
+    path: Path
+
+    def rows_of(self, *kinds: np.dtype[Any]) -> list[NDArray[Any]]:
+        """Return the rows of some kinds by chunk, in order; the first array is empty."""
+        return [np.empty(0, kinds[0]), *(rows for rows in self.rows if rows.dtype in kinds)]
+
+    def remarks(self) -> list[Remark]:
+        """Return a warning if the file has damage."""
+        torn = f"{self.path.name} is damaged or truncated: the last {counted(self.torn, 'byte')}"
+        return [warning("damaged_states", f"{torn} can't be read")] if self.torn else []
 
 
-def read_chunks(path: Path, kinds: Kinds) -> tuple[list[Chunk], int]:
-    """Read a file up to its end or to its first damage.
+def read_chunks(path: Path, kinds: Kinds, schema: str, what: str) -> Chunks:
+    """Read a file up to its end or to its first damage; of its texts, only two are kept.
 
-    Returns:
-        The text and the rows of every chunk, and the number of bytes after the last valid chunk.
+    Raises:
+        InputError: It can't be read, is not `what`, or has another schema.
     """
-    chunks: list[Chunk] = []
+    if path.exists() and not path.is_file():  # reading a pipe would wait for its other end
+        raise InputError(f"{path} can't be read: it is not a regular file")
+    texts: list[dict[str, Any]] = []
+    rows: list[NDArray[Any]] = []
+    told = 0
     try:
         with path.open("rb") as file:
             size, place = os.fstat(file.fileno()).st_size, 0
             while (chunk := _next_chunk(file, size - place, kinds)) is not None:
-                chunks.append(chunk)
+                text, table = chunk
+                if text:
+                    texts, told = [*texts[:1], text], len(rows)
+                if len(table):
+                    rows.append(table)
                 place = file.tell()
     except OSError as error:
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
-    return chunks, size - place
+    description, newest = [*texts, {}, {}][:2]
+    advice = "evaluate a recording of the run"
+    require_schema(path, description.get("format"), schema, what, advice)
+    return Chunks(description, newest, rows, told, size - place, path)
 
 
 def _next_chunk(file: BinaryIO, left: int, kinds: Kinds) -> Chunk | None:
@@ -133,10 +157,10 @@ def _next_chunk(file: BinaryIO, left: int, kinds: Kinds) -> Chunk | None:
     if (kind := kinds.get(magic)) is None:
         return None
     size = length + count * kind.itemsize
-    if size > min(left - _HEAD.size, _MOST_WAITING):
+    if size > min(left - _HEAD.size, _MOST_WAITING) or length > _LONGEST_TEXT:
         return None
-    body = file.read(size)
-    if len(body) < size or zlib.crc32(body) != checksum:
+    said, table = file.read(length), file.read(count * kind.itemsize)
+    if len(said) + len(table) < size or zlib.crc32(table, zlib.crc32(said)) != checksum:
         return None
-    text = mapping_in(body[:length]) if length else {}
-    return None if text is None else (text, np.frombuffer(body, kind, count, length))
+    text = mapping_in(said) if length else {}
+    return None if text is None else (text, np.frombuffer(table, kind))

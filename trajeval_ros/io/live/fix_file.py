@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fixes import Fixes
-from trajeval_ros.io.live.chunk_file import ChunkWriter, read_tables
+from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 
 FORMAT = "trajeval-fixes/1"
 NAME = "groundtruth.fixes"
@@ -36,7 +37,11 @@ class FixWriter(ChunkWriter):
         self.write()
 
 
-def read_fix_rows(folder: Path) -> tuple[Stamps, Floats]:
-    """Return stamps (N,), nanoseconds, and rows (N, 14) of the file of fixes, as written."""
-    rows = read_tables(folder / NAME, _KINDS, FORMAT, "file of fixes")[_FIXES]
-    return rows["stamp"], rows["fix"]
+def read_fix_rows(folder: Path) -> tuple[Stamps, Floats, list[Remark]]:
+    """Return stamps (N,), nanoseconds, and rows (N, 14) of the file of fixes, as written.
+
+    The remarks are about damage of the file.
+    """
+    chunks = read_chunks(folder / NAME, _KINDS, FORMAT, "file of fixes")
+    rows = np.concatenate(chunks.rows_of(_KINDS[_FIXES]))
+    return rows["stamp"].astype(np.int64), rows["fix"].astype(np.float64), chunks.remarks()

@@ -111,6 +111,9 @@ def _evaluate(
         raise InputError(f"{path.stem}: no pose so far")
     try:
         return _of_states(path, groundtruth, recorded, request, align_with)
+    except InputError as error:
+        damage = [remark.text for side in (groundtruth, recorded) for remark in side.remarks]
+        raise InputError("; ".join([str(error), *damage])) from error
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} is damaged or from another version: {error!r}") from error
 
@@ -147,7 +150,7 @@ def _of_states(
         estimate = dataclasses.replace(estimate, reading=reading)
     summary, run, remarks = _tested(truth, estimate, asked, request.covariances)
     remarks += [remark_of(item) for item in state["warnings"]]
-    remarks += _about_end(path, recorded)
+    remarks += _about_end(recorded)
     evaluation = dataclasses.replace(run.evaluation, remarks=(*run.evaluation.remarks, *remarks))
     run = dataclasses.replace(run, evaluation=evaluation, live=live, stream=None)
     # The settings state the rule that selected the fixes, not the datum that resulted.
@@ -220,8 +223,9 @@ def _groundtruth(
     name = str(recorded.description["name"])
     if datum is None:
         return _trajectory(recorded, counts, name)
-    stamps, rows = read_fix_rows(folder)
+    stamps, rows, remarks = read_fix_rows(folder)
     reading = _reading(recorded, counts)
+    reading = dataclasses.replace(reading, remarks=(*reading.remarks, *remarks))
     return trajectory_of_rows(
         reading.source,
         stamps,
@@ -237,7 +241,7 @@ def _reading(recorded: RecordedStates, counts: Mapping[str, Any]) -> SourceInfo:
     return SourceInfo(
         source=str(recorded.description["source"]),
         dropped={str(reason): int(count) for reason, count in counts["dropped"].items()},
-        remarks=tuple(map(remark_of, counts["notes"])),
+        remarks=(*map(remark_of, counts["notes"]), *recorded.remarks),
         resets=tuple(DeclaredReset(*reset) for reset in counts["resets"]),
     )
 
@@ -332,17 +336,11 @@ def _tested(
         return summary, run, [warning("no_consistency_test", text)]
 
 
-def _about_end(path: Path, recorded: RecordedStates) -> Iterator[Remark]:
-    """Yield warnings about an end without the last counts, or with damage."""
+def _about_end(recorded: RecordedStates) -> Iterator[Remark]:
+    """Yield a warning about an end without the last counts."""
     if recorded.later or recorded.torn:
         yield warning(
             "live_run_stopped",
             "the live run stopped before its last counts were written: counts of lost and "
             f"dropped messages are from {counted(recorded.later, 'pose')} before the end",
-        )
-    if recorded.torn:
-        yield warning(
-            "damaged_states",
-            f"{path.name} is damaged or truncated: the last {counted(recorded.torn, 'byte')} "
-            "can't be read",
         )

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import install_command
+from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.json_file import require_schema
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import MESSAGE, message_rows
@@ -94,6 +94,7 @@ class RecordedStates:
     states: Trajectory
     received: NDArray[np.void]  # poses as received; empty if they are the states
     torn: int  # number of bytes after the last valid chunk
+    remarks: list[Remark]  # about damage
 
 
 def read_states(path: Path) -> RecordedStates:
@@ -102,21 +103,16 @@ def read_states(path: Path) -> RecordedStates:
     Raises:
         InputError: It can't be read, is no such file, or is of another version.
     """
-    chunks, torn = read_chunks(path, _KINDS)
-    description = chunks[0][0] if chunks else {}
-    advice = "evaluate a recording of the run"
-    require_schema(path, description.get("format"), FORMAT, "file of states", advice)
-    texts = [row for row, (text, _) in enumerate(chunks) if text]
-    parts = [rows for _, rows in chunks if rows.dtype in (_ROW, _WIDE_ROW)]
-    after = [rows for _, rows in chunks[texts[-1] + 1 :] if rows.dtype != MESSAGE]
-    received = [rows for _, rows in chunks if rows.dtype == MESSAGE]
+    chunks = read_chunks(path, _KINDS, FORMAT, "file of states")
+    later = [rows for rows in chunks.rows[chunks.told :] if rows.dtype != MESSAGE]
     return RecordedStates(
-        description=description,
-        state=chunks[texts[-1]][0] if len(texts) > 1 else {},
-        later=sum(map(len, after)),
-        states=_states_of(parts),
-        received=np.concatenate([np.empty(0, MESSAGE), *received]),
-        torn=torn,
+        description=chunks.description,
+        state=chunks.newest,
+        later=sum(map(len, later)),
+        states=_states_of(chunks.rows_of(_ROW, _WIDE_ROW)),
+        received=np.concatenate(chunks.rows_of(MESSAGE)),
+        torn=chunks.torn,
+        remarks=chunks.remarks(),
     )
 
 

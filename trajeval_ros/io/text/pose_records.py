@@ -224,7 +224,9 @@ def _objects(path: Path) -> Iterator[Any]:
         raise InputError(f"{path} is a JSON document of more than 256 MiB; write JSON lines")
     document = _parsed(path.read_text("utf-8-sig", "replace"))
     if isinstance(document, Exception):
-        raise InputError(f"{path} is not valid JSON: {document}")
+        is_deep = isinstance(document, RecursionError)
+        why = "its objects are nested too deeply" if is_deep else document
+        raise InputError(f"{path} is not valid JSON: {why}")
     if isinstance(document, dict):
         lists = (value for value in document.values() if isinstance(value, list))
         document = next(lists, [document])
