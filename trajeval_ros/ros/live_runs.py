@@ -145,7 +145,7 @@ class LiveRuns:
         self.conclude(time_at)
         self._newest = [None for _ in self._sources]
         for source in self._sources:
-            source.stream.begin_anew()
+            source.stream.reset()
         self._follow(begun)
         self._enter(begun)
         self._close_oldest()

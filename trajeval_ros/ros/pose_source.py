@@ -72,7 +72,7 @@ class PoseSource:
         if topic.senders.restarted() and not isinstance(self.stream, TransformStream):
             remarks.append(warning("restart", f"{self.source}: its publisher was restarted"))
         if len(topic.publishers) < 2:
-            topic.senders.begin_anew()
+            topic.senders.reset()
         if isinstance(self.stream, TransformStream):
             self.stream.tell_trouble()
         if self.mixed:

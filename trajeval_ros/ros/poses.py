@@ -96,7 +96,7 @@ class PoseStream:
         for trust in self._all_trusts:
             trust.lone = trust.farthest_ns = 0
 
-    def begin_anew(self) -> None:
+    def reset(self) -> None:
         """Forget earlier messages: their time, and the origin of fixes."""
         self._trust, self._held = OutlierStamps(), NO_STATES
         self._previous, self.fixes.datum = None, None

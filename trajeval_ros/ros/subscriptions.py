@@ -107,7 +107,7 @@ class Senders:
             self._steps_back += 1
         self._last = number
 
-    def begin_anew(self) -> None:
+    def reset(self) -> None:
         """Forget steps back, because there is one publisher."""
         self._steps_back, self._is_told = 0, False
 

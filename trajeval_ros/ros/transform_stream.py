@@ -200,7 +200,7 @@ class TransformStream(PoseStream):
         self._recent = {key: item[item["message"] >= begin] for key, item in recent.items()}
         return {key: item[item["message"] < begin] for key, item in recent.items()}
 
-    def begin_anew(self) -> None:
+    def reset(self) -> None:
         """Forget earlier messages."""
         self._trusts, self._is_over = {}, False
         self._drop_moving()
