@@ -15,10 +15,12 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 
 from paths import ROOT
+from written_trajectories import write
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.report.comparison_page import Plot, ReportPages, RunPage
 from trajeval_ros.report.matrix import Cell, Matrix
+from trajeval_ros.simulation.drifting_odometry import simulate
 
 pytestmark = pytest.mark.slow
 BROWSER = next(
@@ -240,3 +242,35 @@ def test_runs_that_are_cut_are_counted_once(
     for said in ("4 runs evaluated; report", "0 runs evaluated, 4 unchanged; report"):
         assert compare(config, output=tmp_path / "out") == 0
         assert said in capsys.readouterr().out
+
+
+LONG = "an_estimator_of_a_long_name__window_20__features_250__loop_closure_off__seed_1234567890"
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of one run whose name is longer than a phone is wide."""
+    folder = tmp_path_factory.mktemp("evaluation")
+    flight = simulate(0, 60.0)
+    write(folder / "gt.txt", flight.groundtruth)
+    write(folder / "vio.txt", flight.estimate)
+    words = [
+        str(folder / "gt.txt"),
+        f"{LONG}={folder / 'vio.txt'}",
+        "--output",
+        str(folder / "out"),
+    ]
+    assert main(["evaluate", *words, "--modality", "stereo-inertial", "--quiet"]) == 0
+    return folder / "out" / "report.html"
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_long_name_hides_no_numbers(width: int, evaluation: Path, browser: Any) -> None:
+    tab, complaints = opened(browser, evaluation, width)
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    names = tab.locator("td:first-child").all()
+    assert max(name.bounding_box()["width"] for name in names) < 0.4 * width
+    if width == 1280:  # no table scrolls
+        for table in tab.locator(".scroll").all():
+            assert table.evaluate("box => box.scrollWidth <= box.clientWidth")
+    assert not complaints

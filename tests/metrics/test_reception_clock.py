@@ -30,14 +30,35 @@ def times_of(seed: int = 0, least_s: float = 0.03) -> np.ndarray:
         (times_of() - SECOND // 20, "impossible", "before their timestamps; correct the clock"),
         (times_of() + 2 * SECOND, "suspicious", "check for a queue"),
         (times_of() + (STAMPS - BEGIN) // 20_000, "drift", " ppm; latencies include"),
+        (times_of() + SECOND // 2 * (np.arange(2000) > 777), "step", "latencies change by +0."),
     ],
 )
 def test_verdicts(times: np.ndarray, verdict: str, said: str) -> None:
     _, clock = judged_receptions(STAMPS, times)
     assert clock.verdict == verdict
-    assert clock.is_usable == (verdict in ("ok", "suspicious", "drift"))
+    assert clock.is_usable == (verdict in ("ok", "suspicious", "step", "drift"))
     assert said in clock.sentence
     assert len(clock.sentence) <= 240
+
+
+@given(st.integers(0, 10**6), st.floats(0.1, 5.0), st.booleans(), st.integers(60, 1940))
+def test_a_step_of_the_clock_has_its_size_and_time(
+    seed: int, step_s: float, is_back: bool, row: int
+) -> None:
+    step = (-step_s if is_back else step_s) * SECOND
+    times = times_of(seed, least_s=6.0) + (step * (np.arange(2000) >= row)).astype(np.int64)
+    _, clock = judged_receptions(STAMPS, times, "-5.9" if is_back else "-6")
+    assert clock.step_s == pytest.approx(step / SECOND, abs=0.02)
+    assert clock.step_at_s == pytest.approx(row / 20, abs=1e-9)
+
+
+@given(st.integers(0, 10**6), st.floats(0.0, 0.5))
+def test_jitter_late_messages_and_a_growing_queue_are_no_step(seed: int, growth: float) -> None:
+    random = np.random.default_rng(seed)
+    late_s = random.exponential(1.0, 2000) * (random.uniform(size=2000) < 0.05)
+    late_s += np.maximum(0.0, np.arange(2000) - 1000) / 20 * growth
+    _, clock = judged_receptions(STAMPS, times_of(seed) + (late_s * SECOND).astype(np.int64))
+    assert clock.step_s == 0.0
 
 
 def test_the_named_offset_is_enough() -> None:

@@ -203,6 +203,13 @@ def _print_edges(terminal: Console, description: Description) -> None:
             for edge in moving
         ]  # fmt: skip
         _print_table(terminal, ("transforms", "parent", "child", "timestamps", "Hz"), rows)
+    for edge in moving:
+        if not (edge.parent or edge.child):
+            terminal.print(
+                f"transforms without frames are sources by their number: "
+                f"{description.path}:{edge.topic}[0]",
+                soft_wrap=True,
+            )
     static = len(description.edges) - len(moving)
     if static:
         terminal.print(f"and {counted(static, 'static transform')}", soft_wrap=True)

@@ -21,6 +21,9 @@ _DAY_S = 86400.0
 _EARLY_S, _LATE_S = 1e-3, 1.0
 # Clocks drift by less than the largest value; a larger slope is a growing queue.
 _DRIFT_PPM, _LARGEST_PPM = 20.0, 1000.0
+# A step of the clock is a step of the smallest latency in so many messages, above their scatter. A
+# growing queue has no step.
+_BLOCK, _LEAST_STEP_S, _FEWEST_BLOCKS = 10, 0.01, 3
 _FASTEST = "fastest"
 _WITHHELD = ("copied", "epochs", "impossible")
 
@@ -50,12 +53,14 @@ def clock_correction(text: str) -> tuple[float | None, float]:
 class ReceptionClock:
     """The comparison of times of reception with timestamps."""
 
-    verdict: str  # `ok`, `copied`, `epochs`, `impossible`, `suspicious` or `drift`
+    verdict: str  # `ok`, `copied`, `epochs`, `impossible`, `suspicious`, `step` or `drift`
     smallest_s: float  # smallest latency, seconds, after the correction
     # Drift of the smallest latency, the slope of its lower convex hull at the middle.
     drift_ppm: float
     # Seconds that were added to all receptions; None if the fastest message was set.
     offset_s: float | None
+    step_s: float = 0.0  # of the smallest latency; 0 without a step
+    step_at_s: float = 0.0  # time of the step since the first timestamp, seconds
 
     @property
     def is_usable(self) -> bool:
@@ -76,6 +81,8 @@ class ReceptionClock:
             f"{(self.offset_s or 0.0) - self.smallest_s:.4g}",
             "suspicious": f"every message was received at least {self.smallest_s:.4g} s after its "
             "timestamp; check for a queue, or correct the clock with --receive-clock",
+            "step": f"all latencies change by {self.step_s:+.4g} s at {self.step_at_s:.1f} s; the "
+            "receiver's clock stepped, or the estimator fell behind, and latencies include it",
             "drift": f"the clocks of timestamps and receptions drift by {self.drift_ppm:.0f} ppm; "
             "latencies include this drift",
         }[self.verdict]
@@ -101,15 +108,45 @@ def judged_receptions(
     else:
         times = times + round(offset_s * NANOSECONDS)
     smallest_s = float((times - stamps).min()) / NANOSECONDS
+    step_s, step_at_s = _step(seconds, above_s)
     rules = {
         "copied": copied,
         "epochs": abs(median(times - stamps)) > _DAY_S * NANOSECONDS,
         "impossible": smallest_s < -_EARLY_S,
         "suspicious": smallest_s > _LATE_S,
+        "step": step_s != 0.0,
         "drift": offset_s is not None and _DRIFT_PPM < 1e6 * abs(slope) < _LARGEST_PPM,
     }
     verdict = next((name for name, holds in rules.items() if holds), "ok")
-    return times, ReceptionClock(verdict, smallest_s, 1e6 * slope, offset_s)
+    return times, ReceptionClock(verdict, smallest_s, 1e6 * slope, offset_s, step_s, step_at_s)
+
+
+def _step(seconds: Floats, latencies_s: Floats) -> tuple[float, float]:
+    """Return the step of the smallest latency and its time; zeros without one.
+
+    Before the step, the smallest latencies of all blocks of messages are on one side of those
+    after it, and the step is larger than the scatter of both parts together.
+    """
+    count = len(seconds) // _BLOCK
+    if count < 2 * _FEWEST_BLOCKS:
+        return 0.0, 0.0
+    floors = latencies_s[: count * _BLOCK].reshape(count, _BLOCK).min(axis=1)
+    splits = np.arange(_FEWEST_BLOCKS, count - _FEWEST_BLOCKS + 1)
+    most, least = np.maximum.accumulate(floors), np.minimum.accumulate(floors)
+    most_after = np.maximum.accumulate(floors[::-1])[::-1]
+    least_after = np.minimum.accumulate(floors[::-1])[::-1]
+    up = least_after[splits] - most[splits - 1]
+    down = least[splits - 1] - most_after[splits]
+    sizes = np.maximum(up, down)
+    best = int(np.argmax(sizes))
+    split = int(splits[best])
+    scatter = most[split - 1] - least[split - 1] + most_after[split] - least_after[split]
+    if sizes[best] < max(_LEAST_STEP_S, scatter):
+        return 0.0, 0.0
+    # The block before the split can have messages from both sides.
+    around = np.arange((split - 1) * _BLOCK, (split + 1) * _BLOCK)
+    at = around[1 + int(np.argmax(np.abs(np.diff(latencies_s[around]))))]
+    return float(median(floors[split:]) - median(floors[:split])), float(seconds[at])
 
 
 def _fastest(seconds: Floats, latencies_s: Floats) -> tuple[float, float]:

@@ -68,7 +68,8 @@ def _plots(drawings: Mapping[str, Drawing]) -> list[Plot]:
     with apply_style(FigureStyle(width_in=_WIDTH_IN)):
         for name, draw in drawings.items():
             figure = draw()
-            title, _, caption = str(figure.get_label()).partition("\n")
+            title, *lines = str(figure.get_label()).split("\n")
+            caption = ". ".join(lines)
             hide_title(figure)
             plots.append(Plot(title or name, caption, page_figure(figure, title or name)))
     return plots

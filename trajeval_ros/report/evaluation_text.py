@@ -66,13 +66,18 @@ def print_tables(terminal: Console, outcome: Outcome, statistic: str = "") -> No
     _print_likelihoods(terminal, outcome)
     _print_errors(terminal, outcome.runs, statistic)
     for run in outcome.runs:
+        name = run.estimate.name
         if run.calibrated is not None:
-            for line in calibration_lines(run.estimate.name, run.calibrated):
-                terminal.print(line, soft_wrap=True)
+            _print_titled(terminal, calibration_lines(name, run.calibrated))
         if run.consistency is not None:
-            for line in consistency_lines.consistency_lines(run.estimate.name, run.consistency):
-                terminal.print(line, soft_wrap=True)
+            _print_titled(terminal, consistency_lines.consistency_lines(name, run.consistency))
     _print_integrity(terminal, outcome.runs)
+
+
+def _print_titled(terminal: Console, lines: Sequence[str]) -> None:
+    """Print lines of which the second, after an empty one, is the title."""
+    for place, line in enumerate(lines):
+        terminal.print(line, BOLD if place == 1 else "", soft_wrap=True)
 
 
 def print_definitions(terminal: Console, outcome: Outcome) -> None:

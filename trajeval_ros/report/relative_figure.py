@@ -47,7 +47,8 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
         if (in_metres or metric != "position_percent")
         and any(_errors(segments, metric) is not None for segments in everything)
     ]
-    count_rows = len(evaluations) if len(evaluations) <= _MOST_COUNT_ROWS else 1
+    counts = [_counts(evaluations, group) for group in range(len(lengths))]
+    count_rows = max(map(len, counts))
     columns = canvas.columns_of_panels(len(metrics), _NARROWEST_IN)
     boxes = len(evaluations) * len(lengths)
     if (canvas.width_in() / columns - _BESIDE_IN) / boxes < _NARROWEST_BOX_IN:
@@ -64,7 +65,7 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
     for metric, axes in zip(metrics, panels, strict=False):
         for place, evaluation in enumerate(evaluations):
             _draw_boxes(axes, evaluation.relative or (), metric, place, len(evaluations))
-        _write_counts(axes, evaluations)
+        _write_counts(axes, counts)
         axes.set_ylabel(_METRICS[metric])
         axes.set_ylim(bottom=0.0)
         _label_lengths(axes, lengths, count_rows)
@@ -97,17 +98,19 @@ def _draw_boxes(
     canvas.draw_boxes(axes, boxes, 0.85 * width, colour=colour, dashes=dashes)
 
 
-def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
-    """Write the number of sub-trajectories below every length; of many estimates its range."""
-    for group in range(len(evaluations[0].protocol.lengths)):
-        counts = [e.relative[group].count if e.relative else 0 for e in evaluations]
-        colours = [canvas.line_style(place)[0] for place in range(len(counts))]
-        texts = [str(count) for count in counts]
-        if len(set(counts)) == 1 or len(counts) > _MOST_COUNT_ROWS:
-            least, most = min(counts), max(counts)
-            texts = [str(least) if least == most else f"{least}–{most}"]
-            colours = [canvas.soft_ink()]
-        for row, (text, colour) in enumerate(zip(texts, colours, strict=True)):
+def _counts(evaluations: Sequence[Evaluation], group: int) -> list[tuple[str, str]]:
+    """Return the numbers of sub-trajectories of a length, with colours; of many their range."""
+    counts = [e.relative[group].count if e.relative else 0 for e in evaluations]
+    least, most = min(counts), max(counts)
+    if least == most or len(counts) > _MOST_COUNT_ROWS:
+        return [(str(least) if least == most else f"{least}–{most}", canvas.soft_ink())]
+    return [(str(count), canvas.line_style(place)[0]) for place, count in enumerate(counts)]
+
+
+def _write_counts(axes: Axes, counts: Sequence[Sequence[tuple[str, str]]]) -> None:
+    """Write the numbers of sub-trajectories below every length."""
+    for group, texts in enumerate(counts):
+        for row, (text, colour) in enumerate(texts):
             axes.annotate(
                 text,
                 (group, 0.0),

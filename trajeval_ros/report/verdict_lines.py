@@ -159,7 +159,7 @@ def _share(evaluation: Evaluation) -> str:
 def _split(parts: Sequence[RunPart]) -> str:
     """Return the line about the parts between restarts and steps."""
     if not parts:
-        return "  no restart and no step: one part"
+        return "  no restart, and no step far above the errors: one part"
     alignments = sum(part.ate is not None for part in parts)
     sizes = ", ".join(
         f"{part.duration_s:.0f} s {'-' if part.ate is None else with_unit(part.ate, 'm')}"

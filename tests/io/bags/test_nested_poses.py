@@ -109,7 +109,9 @@ def test_an_element_is_one_body_at_the_times_of_its_messages(field: str, tmp_pat
         read_trajectory(f"{path}:/pose{field.format(3)}")
 
 
-def test_transforms_without_frames_are_read_by_their_number(tmp_path: Path) -> None:
+def test_transforms_without_frames_are_read_by_their_number(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     messages = [
         TYPES["tf2_msgs/msg/TFMessage"](
             [transform(stamp, "", "", x=10.0 * body + row) for body in range(2)]
@@ -120,6 +122,9 @@ def test_transforms_without_frames_are_read_by_their_number(tmp_path: Path) -> N
     read = read_trajectory(f"{path}:/pose[1]")
     assert read.stamps.tolist() == STAMPS
     assert read.positions[:, 0].tolist() == [10.0 + row for row in range(COUNT)]
+    assert main(["info", path]) == 0
+    source = capsys.readouterr().out.partition("by their number: ")[2].split()[0]
+    assert len(read_trajectory(source)) == COUNT
 
 
 def test_a_pose_without_a_stamp_has_the_log_times(tmp_path: Path) -> None:
