@@ -33,6 +33,14 @@ def test_old_messages_are_forgotten_by_source() -> None:
     assert tail.first(2) is None
 
 
+def test_messages_are_as_old_as_the_newest_of_their_block() -> None:
+    tail = MessageTail()
+    for seconds in ((1.0, 8.5), (9.0,), (10.0,)):
+        tail.add(1, block(*seconds))
+    tail.forget(2.0)
+    assert seconds_of(tail) == [(1, [1.0, 8.5]), (1, [9.0]), (1, [10.0])]
+
+
 def test_a_step_back_of_time_forgets_what_came_before() -> None:
     tail = MessageTail()
     for second in (50.0, 51.0, 3.0, 4.0):
