@@ -116,7 +116,6 @@ def test_a_divergence_is_told_from_its_first_begin() -> None:
         "moved_m": 9.0,
     }
     assert told(first) == [values]
-    values["number"] = " (longest of 2 times)"
     assert told(first, loss_of(DIVERGED, 40.0, 90.0)) == [values]
 
 
@@ -128,7 +127,7 @@ def test_the_longest_of_frozen_poses_is_told() -> None:
         "at_s": 45.0,
         "after_s": 54.0,
         "lost_s": 9.0,
-        "until": "",
+        "until": " (longest of 3 times)",
         "number": " (longest of 3 times)",
         "true_m": 7.0,
         "true_deg": 30.0,
