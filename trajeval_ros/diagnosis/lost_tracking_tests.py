@@ -12,7 +12,7 @@ from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN, Loss
-from trajeval_ros.metrics.discontinuities.lost_tracking import losses_of
+from trajeval_ros.metrics.discontinuities.lost_tracking import divergences_in
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
@@ -30,7 +30,9 @@ def losses_in(pairs: Association) -> Sequence[Loss]:
     """Return the losses of tracking in pairs; none without timestamps."""
     if pairs.rule.method == "index":
         return ()
-    return losses_of(pairs.groundtruth, pairs.estimate, of_fixes=pairs.is_at_groundtruth).events
+    # Fixes and points are too few or too noisy to show a divergence.
+    diverged = [] if pairs.is_at_groundtruth else divergences_in(pairs.groundtruth, pairs.estimate)
+    return sorted((*pairs.frozen, *diverged), key=lambda loss: loss.t_ns)
 
 
 def is_certain(loss: Loss, pairs: Association) -> bool:

@@ -44,7 +44,7 @@ class Discontinuities:
         self._source = PairSource(self._streams)
         self._motion = RelativeMotion(oriented=oriented)
         self._steps: StepSearch | None = None  # None until the rates are known
-        self._frozen = FrozenParts(self._streams)
+        self._frozen = FrozenParts(dict(zip(SIDES, self._streams, strict=True)))
         self._zero_ns: int | None = None
 
     @property
@@ -115,7 +115,7 @@ class Discontinuities:
         assert self._steps is not None
         while self._steps.take(self._source.new_pairs()):
             pass  # a clock step was corrected: pair again
-        self.events += self._frozen.advance(self._motion.scale, self._ns)
+        self.events += (event for event, _ in self._frozen.advance(self._ns, self._motion.scale))
         step = self._steps.open
         self._source.drop_old(None if step is None else float(step.begin[0]))
 

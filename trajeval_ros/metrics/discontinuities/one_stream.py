@@ -14,8 +14,8 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP, ESTIMATE, GAP, Event
 from trajeval_ros.metrics.discontinuities.exoneration import GAP_PERIODS
+from trajeval_ros.metrics.discontinuities.frozen_parts import FrozenParts
 from trajeval_ros.metrics.discontinuities.open_step import ratio_of
-from trajeval_ros.metrics.discontinuities.own_freezes import FROZEN_S, OwnFreezes
 from trajeval_ros.metrics.discontinuities.own_limits import OwnLimits
 from trajeval_ros.metrics.discontinuities.own_motion import (
     OwnMotions,
@@ -24,13 +24,14 @@ from trajeval_ros.metrics.discontinuities.own_motion import (
     own_motions,
 )
 from trajeval_ros.metrics.discontinuities.own_steps import OwnSteps
-from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
+from trajeval_ros.metrics.discontinuities.pose_stream import ANY_DIFFERS, SidePoses
 from trajeval_ros.metrics.discontinuities.stamp_steps import StampStep
 from trajeval_ros.metrics.statistics import median
 
 _INTERVAL_S = 10.0  # limits are learned after such intervals, and the first one in retrospect
 _LEAST_POSES = 20  # of the first interval
 _MEMORY_S = 45.0  # of poses: the longest learned lag and an interval
+_FROZEN_S = 0.5  # shortest repeats after an abrupt stop
 _CONFIRMED_S = 1.0  # time until a step of a clock is known
 
 
@@ -66,8 +67,8 @@ class OneStream:
         """Create it before the first message; without orientations, positions are tested."""
         self.events: list[Event] = []  # in order of detection
         self._side = side
-        self._stream = SidePoses(oriented=oriented, frozen_s=FROZEN_S, keeps_parts=True)
-        self._freezes = OwnFreezes(self._stream, side)
+        self._stream = SidePoses(oriented=oriented, stored=ANY_DIFFERS, frozen_s=_FROZEN_S)
+        self._frozen = FrozenParts({side: self._stream})
         # None until the rate is known.
         self._limits: OwnLimits | None = None
         self._steps: OwnSteps | None = None
@@ -82,7 +83,7 @@ class OneStream:
     @property
     def frozen(self) -> list[Event]:
         """The events of frozen parts that last."""
-        return self._freezes.present
+        return self._frozen.present
 
     def add(
         self, stamps: Stamps, poses: Floats, received: Stamps | None = None
@@ -138,7 +139,7 @@ class OneStream:
                 self._limits.learn(interval)
                 passed = (stamps[interval] - self._interval_end_s) // _INTERVAL_S
                 self._interval_end_s += _INTERVAL_S * (passed + 1.0)
-        for event, known_s in self._freezes.advance(self._ns):
+        for event, known_s in self._frozen.advance(self._ns):
             self._add(event, known_s)
         if stamps[-1] - stamps[0] > 1.5 * _MEMORY_S:
             oldest_s = float(stamps[self._next - 1]) - _MEMORY_S
