@@ -92,8 +92,11 @@ def diagnose(
     known, is_partial, unexplained = _tested_where_tracked(losses, pairs, inputs)
     if known.named("other_run") and _is_of_noisy_fixes(evaluation):
         known = known.without("other_run", "fixes are noisier than short motions")
-    if not any(map(_explains_motions, known.findings)):
-        evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
+    is_explained = any(map(_explains_motions, known.findings))
+    if not is_explained or known.names_any(_OTHER_PAIRS):
+        searched = with_events(evaluation, groundtruth, estimate, paired=paired)
+        # After a step of a clock, motions agree by chance with wrong conventions, too.
+        evaluation = evaluation if is_explained and not has_clock_step(searched) else searched
     evaluation = with_divergences(evaluation, unexplained)
     # A flip changes no rate of motion, by which clocks and other runs are known.
     is_apart = known.names_any(_OTHER_PAIRS) and not has_clock_step(evaluation)

@@ -201,7 +201,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     # Without timestamps in the estimate, a pair has the groundtruth's.
     stamps = paired.stamps if by_row and groundtruth.reading.stamped else pairs.stamps
     paired = dataclasses.replace(paired, stamps=stamps)
-    frozen = None if by_row else frozen_in(paired, pairs, max_gap_s=rule.max_gap_s)
+    frozen, frozen_ns = ((), 0) if by_row else frozen_in(paired, pairs, max_gap_s=rule.max_gap_s)
     # Coverage counts a groundtruth state once, also if several pairs share it.
     once = (
         paired
@@ -219,13 +219,13 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
             once,
             rule.max_gap_s,
             in_gaps=rule.method == "continuous",
-            frozen_ns=0 if frozen is None else frozen.frozen_ns,
+            frozen_ns=frozen_ns,
         ),
         dropped=add_counts(estimate.reading.dropped, dropped),
         continuous=continuous,
         groundtruth_rows=groundtruth_rows,
         from_the_start=bool(pairs.stamps[0] == shifted.stamps[0]),
-        frozen=() if frozen is None else tuple(frozen.losses),
+        frozen=frozen,
     )
 
 
@@ -276,7 +276,7 @@ def _at_groundtruth(
         raise NoMatchError(_why_no_match(groundtruth, states, rule, dropped))
     meter = InterpolationMeter()
     meter.add(states.stamps, states.positions)
-    frozen = frozen_in(groundtruth[rows], between, of_fixes=True)
+    frozen, _ = frozen_in(groundtruth[rows], between, of_fixes=True)
     return Association(
         rule=rule,
         groundtruth=groundtruth[rows],
@@ -286,7 +286,7 @@ def _at_groundtruth(
         dropped=add_counts(estimate.reading.dropped, dropped),
         groundtruth_rows=rows,
         interpolation=meter.interpolation if bracket.is_between else None,
-        frozen=tuple(frozen.losses),
+        frozen=frozen,
     )
 
 

@@ -24,21 +24,26 @@ from trajeval_ros.metrics.discontinuities.pose_stream import ALL, POSE, POSITION
 _BATCH = 8192  # pairs that are copied at a time
 
 
-class FrozenPairs:
+class TrackingLosses:
     """Takes pairs in order of time, in batches of any size; the memory is that of seconds.
 
     A repeated pose of the estimate is a loss. If only its position is repeated, its rotation may
     be right; the time is not tracked, too.
     """
 
-    def __init__(self, *, of_fixes: bool = False, max_gap_s: float = math.inf) -> None:
+    def __init__(
+        self, *, of_fixes: bool = False, diverging: bool = True, max_gap_s: float = math.inf
+    ) -> None:
         """Create it before the first pair.
 
         Args:
-            of_fixes: The groundtruth has fixes or points, whose noise is metres.
+            of_fixes: The groundtruth has fixes or points, which are too few or too noisy to show
+                a divergence.
+            diverging: Whether to search for divergence, too.
             max_gap_s: Longer steps between pairs are not in `frozen_ns`.
         """
-        self.losses: list[Loss] = []  # in order of detection
+        self._divergence = Divergence() if diverging and not of_fixes else None
+        self._losses: list[Loss] = []  # frozen poses, in order of detection
         self._max_gap_ns = math.inf if math.isinf(max_gap_s) else round(max_gap_s * NANOSECONDS)
         self._moved_m = MOVED_OF_FIXES_M if of_fixes else MOVED_M
         self._streams: dict[str, SidePoses] = {}
@@ -52,6 +57,8 @@ class FrozenPairs:
         if not len(stamps):
             return
         sides = groundtruth[:, :7], estimate[:, :7]
+        if self._divergence is not None:
+            self._divergence.add(stamps, *sides)
         if not self._streams:
             self._zero_ns = self._newest_ns = int(stamps[0])
             for side, poses in zip(SIDES, sides, strict=True):
@@ -69,20 +76,33 @@ class FrozenPairs:
         for stream in self._streams.values():
             stream.drop_before(stream.newest_s)
         self._frozen += new
-        self.losses += [event for event in new if isinstance(event, Loss)]
+        self._losses += [event for event in new if isinstance(event, Loss)]
         before = np.append(self._newest_ns, stamps[:-1])
         is_gap = stamps - before > self._max_gap_ns
         self._gaps += zip(before[is_gap].tolist(), stamps[is_gap].tolist(), strict=True)
         self._newest_ns = int(stamps[-1])
-        if self.is_clear:
+        if self._parts.settled_until_s(ESTIMATE) >= seconds[-1]:
             self._closed_ns += self._lasted_ns()
             self._frozen, self._gaps = [], []
+
+    @property
+    def events(self) -> list[Loss]:
+        """All losses so far, in order of their begin: copies, since a loss is extended."""
+        diverged = [] if self._divergence is None else self._divergence.events
+        events = map(dataclasses.replace, (*self._losses, *diverged))
+        return sorted(events, key=lambda event: event.t_ns)
+
+    @property
+    def present(self) -> Loss | None:
+        """The loss that is not over, the earlier one of two; None if there is none."""
+        return next((event for event in self.events if not event.is_over), None)
 
     @property
     def is_clear(self) -> bool:
         """Whether a loss that is detected later will begin at the newest pair or after it."""
         newest_s = (self._newest_ns - self._zero_ns) / NANOSECONDS
-        return not self._streams or self._parts.settled_until_s(ESTIMATE) >= newest_s
+        is_known = not self._streams or self._parts.settled_until_s(ESTIMATE) >= newest_s
+        return is_known and (self._divergence is None or self._divergence.is_clear)
 
     @property
     def frozen_ns(self) -> int:
@@ -103,55 +123,17 @@ class FrozenPairs:
         return self._zero_ns + round(seconds * NANOSECONDS)
 
 
-class TrackingLosses:
-    """Takes pairs as `FrozenPairs` does; a divergence is a loss, too."""
-
-    def __init__(self, *, of_fixes: bool = False, max_gap_s: float = math.inf) -> None:
-        """Create it before the first pair; fixes are too few or too noisy for a divergence."""
-        self._frozen = FrozenPairs(of_fixes=of_fixes, max_gap_s=max_gap_s)
-        self._divergence = None if of_fixes else Divergence()
-
-    def add(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> None:
-        """Take N pairs in order: stamps (N,), ns, and poses (N, 7 or more), NaN if unknown."""
-        self._frozen.add(stamps, groundtruth, estimate)
-        if self._divergence is not None:
-            self._divergence.add(stamps, groundtruth[:, :7], estimate[:, :7])
-
-    @property
-    def events(self) -> list[Loss]:
-        """All losses so far, in order of their begin: copies, since a loss is extended."""
-        diverged = [] if self._divergence is None else self._divergence.events
-        events = map(dataclasses.replace, (*self._frozen.losses, *diverged))
-        return sorted(events, key=lambda event: event.t_ns)
-
-    @property
-    def present(self) -> Loss | None:
-        """The loss that is not over, the earlier one of two; None if there is none."""
-        return next((event for event in self.events if not event.is_over), None)
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether a loss that is detected later will begin at the newest pair or after it."""
-        is_agreeing = self._divergence is None or self._divergence.is_clear
-        return is_agreeing and self._frozen.is_clear
-
-    @property
-    def frozen_ns(self) -> int:
-        """The time of frozen poses and positions so far, nanoseconds, without longer steps."""
-        return self._frozen.frozen_ns
-
-
 def frozen_in(
     groundtruth: Trajectory,
     estimate: Trajectory,
     *,
     of_fixes: bool = False,
     max_gap_s: float = math.inf,
-) -> FrozenPairs:
-    """Return the frozen poses in N pairs."""
-    frozen = FrozenPairs(of_fixes=of_fixes, max_gap_s=max_gap_s)
-    _give(frozen, groundtruth, estimate)
-    return frozen
+) -> tuple[tuple[Loss, ...], int]:
+    """Return the frozen poses in N pairs, and `frozen_ns`; see `TrackingLosses`."""
+    losses = TrackingLosses(of_fixes=of_fixes, diverging=False, max_gap_s=max_gap_s)
+    _give(losses, groundtruth, estimate)
+    return tuple(losses.events), losses.frozen_ns
 
 
 def divergences_in(groundtruth: Trajectory, estimate: Trajectory) -> list[Loss]:
@@ -161,7 +143,9 @@ def divergences_in(groundtruth: Trajectory, estimate: Trajectory) -> list[Loss]:
     return divergence.events
 
 
-def _give(search: FrozenPairs | Divergence, groundtruth: Trajectory, estimate: Trajectory) -> None:
+def _give(
+    search: TrackingLosses | Divergence, groundtruth: Trajectory, estimate: Trajectory
+) -> None:
     order = np.argsort(estimate.stamps, kind="stable")
     for begin in range(0, len(order), _BATCH):
         rows = order[begin : begin + _BATCH]
