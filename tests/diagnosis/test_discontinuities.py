@@ -154,8 +154,8 @@ SITUATIONS: dict[str, tuple[Trajectory, Trajectory, str | None, tuple[str, str],
         for gap_s in (0.0, 0.4, 1.0, 4.0)
     },
     "one pose out and back": (
-        GROUNDTRUTH, moved(ESTIMATE, ONE_POSE, 9.0), "outlier", ("outlier", "estimate"),
-        "an outlier of",
+        GROUNDTRUTH, moved(ESTIMATE, ONE_POSE, 9.0), None, ("outlier", "estimate"),
+        "1 outlier of the estimate of up to ",
     ),
     "position holds, rotation lives": (
         GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, 30.0, 50.0)), "frozen_position",

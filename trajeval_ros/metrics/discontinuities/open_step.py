@@ -142,11 +142,15 @@ def is_flip(size: Size, *, holds_position: bool = False) -> bool:
 
 
 def both_edges(out: SideVerdict, back: SideVerdict) -> SideVerdict:
-    """Return the verdict on an excursion by its begin and its end."""
+    """Return the verdict on an excursion by its begin and its end.
+
+    An edge at which both sides move smoothly leaves doubt about a side that is only likely.
+    """
     if out.side == back.side:
         return out
-    if out.side in ("", UNDECIDED):
-        return dataclasses.replace(back, certainty="likely" if back.side else "")
-    if back.side in ("", UNDECIDED):
-        return dataclasses.replace(out, certainty="likely")
-    return dataclasses.replace(out, side=UNDECIDED, certainty=UNDECIDED)
+    doubtful, other = (out, back) if out.side in ("", UNDECIDED) else (back, out)
+    if not other.side:
+        return other
+    if doubtful.side not in ("", UNDECIDED) or (not doubtful.side and other.certainty != "sure"):
+        return dataclasses.replace(other, side=UNDECIDED, certainty=UNDECIDED)
+    return dataclasses.replace(other, certainty="likely")
