@@ -12,10 +12,19 @@ import numpy as np
 import pytest
 from paths import SHARED
 
-from trajeval_ros import Protocol, Request, Trajectory, read_trajectory, run, simulate
+from trajeval_ros import (
+    AssociationRule,
+    Protocol,
+    Request,
+    Trajectory,
+    read_trajectory,
+    run,
+    simulate,
+)
 from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.metrics.discontinuities.handling import DiscontinuityRule
 from trajeval_ros.pipeline.outcome import RunOutcome
 
@@ -71,43 +80,133 @@ def test_a_small_step_beside_a_restart_is_no_cause() -> None:
     assert list(texts(result.diagnosis)) == ["restart"]
 
 
-@needs_cases
-@pytest.mark.parametrize(
-    ("groundtruth", "estimate", "cause", "words"),
-    [
-        ("attack/g_one_outlier.txt", "attack/e.txt", "groundtruth_outlier",
-         ("an outlier of 30.00 m at 59.95 s", "with --drop-groundtruth-outliers 0.1703 m")),
-        ("attack/g.txt", "attack/e_frozen_position.txt", "frozen_position",
-         ("position of the estimate is frozen from 80.0 s for 39.95 s", "moves 20.05 m")),
-        ("bags/flip_one:/mocap/pose", "bags/flip_one:/ekf/odom", "groundtruth_flip",
-         ("the groundtruth rotated by 119 deg at 14.98 s",)),
-        ("bags/flip_runs:/mocap/pose", "bags/flip_runs:/ekf/odom", "groundtruth_flip",
-         ("the groundtruth rotated by 180 deg", "(largest of 3)")),
-        ("bags/gt_swap:/ft_gt_swap/mocap/pose", "bags/gt_swap:/ft_gt_swap/vio/odometry",
-         "groundtruth_flip_stays", ("the groundtruth rotated by 180 deg at 14.99 s",)),
-        ("bags/restart_groundtruth.txt", "bags/restart_gap_0.4s.txt", "restart",
-         ("restarted at its origin at 75.00 s, in a gap of 0.5 s: 7.18 m and 20 deg",
-          "0.07633 m (75 s), 0.06635 m (45 s), together 0.07274 m: --on-restart split")),
-        ("bags/restart_groundtruth.txt", "bags/restart_gap_2s.txt", "restart",
-         ("restarted at its origin at 90.00 s, in a gap of 2.0 s",)),
-        ("bags/step_3.017:/mocap/pose", "bags/step_3.017:/vio/odometry", "clock_step",
-         ("estimate's clock stepped by +3.017 s at 59.95 s; the receive times did not",)),
-        ("bags/step_0.417:/mocap/pose", "bags/step_0.417:/vio/odometry", "clock_step",
-         ("estimate's clock stepped by +0.417 s",)),
-        ("bags/step_-10.017:/mocap/pose", "bags/step_-10.017:/vio/odometry", "clock_step",
-         ("estimate's clock stepped by -10.017 s",)),
-        ("bags/bothstep_-10.017:/mocap/pose", "bags/bothstep_-10.017:/vio/odometry",
-         "both_clocks_step", ("both clocks stepped by -10.017 s", "these are two runs")),
-    ],
-)  # fmt: skip
-def test_inputs_that_people_report_get_one_finding(
-    groundtruth: str, estimate: str, cause: str, words: tuple[str, ...]
-) -> None:
-    pair = [read_trajectory(str(FIELD_CASES / name)) for name in (groundtruth, estimate)]
-    findings = texts(outcome(pair[0], pair[1]).diagnosis)
-    assert list(findings) == [cause]
-    for part in words:
-        assert part in findings[cause]
+def flipped(trajectory: Trajectory, chosen: np.ndarray) -> Trajectory:
+    quaternions = trajectory.known_quaternions.copy()
+    quaternions[chosen] = lie.multiply(quaternions[chosen], np.array([[1.0, 0.0, 0.0, 0.0]]))
+    return dataclasses.replace(trajectory, quaternions=quaternions)
+
+
+def held(
+    trajectory: Trajectory, chosen: np.ndarray, names: tuple[str, ...] = ("positions",)
+) -> Trajectory:
+    """Return a trajectory that repeats columns of its pose."""
+    columns = {name: getattr(trajectory, name).copy() for name in names}
+    for values in columns.values():
+        values[chosen] = values[chosen.argmax()]
+    return dataclasses.replace(trajectory, velocities=None, **columns)
+
+
+def stepped(trajectory: Trajectory, seconds: float, *, received: bool = True) -> Trajectory:
+    """Return a trajectory whose clock steps at 30 s, perhaps with times of reception."""
+    stamps, reading = trajectory.stamps.copy(), trajectory.reading
+    if received:
+        delays = np.random.default_rng(1).exponential(3e6, len(stamps)).astype(np.int64)
+        times = np.maximum.accumulate(stamps + delays)
+        reading = dataclasses.replace(reading, receptions=ReceiveTimes(times))
+    stamps[rows(trajectory, 30.0)] += round(seconds * 1e9)
+    return dataclasses.replace(trajectory, stamps=stamps, reading=reading)
+
+
+def diverging(begin_s: float, mps2: float) -> Trajectory:
+    since_s = np.maximum((ESTIMATE.stamps - FIRST_NS) / 1e9 - begin_s, 0.0)
+    positions = ESTIMATE.positions + np.outer(0.5 * mps2 * since_s**2, [0.6, 0.8, 0.0])
+    return dataclasses.replace(ESTIMATE, positions=positions, velocities=None)
+
+
+ONE_POSE = np.arange(len(ESTIMATE)) == 600
+NEAREST = int(np.abs(GROUNDTRUTH.stamps - ESTIMATE.stamps[600]).argmin())
+ONE_SAMPLE = np.arange(len(GROUNDTRUTH)) == NEAREST
+POSE = "positions", "quaternions"
+# Groundtruth, estimate; cause, the event of it, and words of the sentence. None: no finding.
+SITUATIONS: dict[str, tuple[Trajectory, Trajectory, str | None, tuple[str, str], str]] = {
+    "one sample of the groundtruth is off": (
+        moved(GROUNDTRUTH, ONE_SAMPLE, 30.0), ESTIMATE, "groundtruth_outlier",
+        ("outlier", "groundtruth"), "the groundtruth has an outlier of",
+    ),
+    **{
+        f"groundtruth steps by {metres} m": (
+            moved(GROUNDTRUTH, rows(GROUNDTRUTH, 30.0), metres), ESTIMATE, "groundtruth_step",
+            ("step", "groundtruth"), "the groundtruth jumped by",
+        )
+        for metres in (0.5, 2.0, 20.0)
+    },
+    "estimate steps": (
+        GROUNDTRUTH, moved(ESTIMATE, rows(ESTIMATE, 30.0), 1.0), "step", ("step", "estimate"),
+        "the estimate jumped by",
+    ),
+    "marker flips": (
+        flipped(GROUNDTRUTH, rows(GROUNDTRUTH, 30.0, 31.0)), ESTIMATE, "groundtruth_flip",
+        ("flip", "groundtruth"), "the groundtruth rotated by 1",
+    ),
+    "marker stays flipped": (
+        flipped(GROUNDTRUTH, rows(GROUNDTRUTH, 30.0)), ESTIMATE, "groundtruth_flip_stays",
+        ("flip_stays", "groundtruth"), "the groundtruth rotated by 1",
+    ),
+    "estimate flips": (
+        GROUNDTRUTH, flipped(ESTIMATE, rows(ESTIMATE, 30.0, 31.0)), "flip", ("flip", "estimate"),
+        "the estimate rotated by 1",
+    ),
+    **{
+        f"restart in a gap of {gap_s} s": (
+            GROUNDTRUTH, restarted(gap_s), "restart", ("restart", "estimate"),
+            "the estimate restarted at its origin at",
+        )
+        for gap_s in (0.0, 0.4, 1.0, 4.0)
+    },
+    "one pose out and back": (
+        GROUNDTRUTH, moved(ESTIMATE, ONE_POSE, 9.0), None, ("outlier", "estimate"),
+        "1 outlier of the estimate of up to ",
+    ),
+    "position holds, rotation lives": (
+        GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, 30.0, 50.0)), "frozen_position",
+        ("frozen_position", "estimate"), "the position of the estimate is frozen from 30.",
+    ),
+    "pose holds": (
+        GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, 30.0, 50.0), POSE), "frozen",
+        ("frozen_position", "estimate"), "the estimate repeats its pose for ",
+    ),
+    "first pose holds": (
+        GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, -math.inf, 20.0), POSE), "frozen_at_start",
+        ("frozen_position", "estimate"), "the estimate repeats its first pose for ",
+    ),
+    **{
+        f"{side}'s clock steps by {seconds} s": (
+            stepped(GROUNDTRUTH, seconds * (side == "groundtruth")),
+            stepped(ESTIMATE, seconds * (side == "estimate")), "clock_step",
+            ("clock_step", side), f"{side}'s clock stepped by ",
+        )
+        for side, seconds in (
+            ("estimate", 3.0), ("estimate", 0.2), ("estimate", -10.0), ("groundtruth", -3.0),
+        )
+    },
+    "clock steps back, order of the file": (
+        GROUNDTRUTH, stepped(ESTIMATE, -4.0, received=False), "clock_step",
+        ("clock_step", "estimate"), "the estimate's clock stepped by -4.",
+    ),
+    "both clocks step back": (
+        stepped(GROUNDTRUTH, -10.0), stepped(ESTIMATE, -10.0), "both_clocks_step",
+        ("clock_step", "both"), "both clocks stepped by -",
+    ),
+    "large divergence": (
+        GROUNDTRUTH, diverging(30.0, 1.0), "diverged", ("diverged", "estimate"),
+        "the estimate diverges from 3",
+    ),
+    "small divergence": (
+        GROUNDTRUTH, diverging(30.0, 0.1), None, ("diverged", "estimate"),
+        "the estimate diverges from 3",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_a_situation_has_one_cause_and_its_event(situation: str) -> None:
+    """What jumped, which side, and when: the finding or the note, and the events of the result."""
+    groundtruth, estimate, cause, event, words = SITUATIONS[situation]
+    result = outcome(groundtruth, estimate)
+    assert [finding.cause for finding in result.diagnosis.findings] == [cause] * bool(cause)
+    assert any(words in remark.text for remark in result.evaluation.remarks)
+    assert event in [(item.kind, item.side) for item in result.evaluation.events]
+    assert {item.side for item in result.evaluation.events} == {event[1]}
 
 
 @needs_cases
@@ -125,16 +224,8 @@ def test_a_corrected_clock_gives_the_error_without_the_step(step: str) -> None:
     assert not corrected.diagnosis.findings
 
 
-@pytest.mark.parametrize("metres", [0.5, 2.0, 20.0])
-def test_a_step_of_the_groundtruth_is_one_of_the_groundtruth(metres: float) -> None:
-    stepped = moved(GROUNDTRUTH, rows(GROUNDTRUTH, 30.0), metres)
-    assert list(texts(outcome(stepped, ESTIMATE).diagnosis)) == ["groundtruth_step"]
-
-
-@pytest.mark.parametrize("gap_s", [0.0, 1.0, 4.0])
-def test_a_restart_is_one_of_the_estimate(gap_s: float) -> None:
-    result = outcome(GROUNDTRUTH, restarted(gap_s))
-    assert list(texts(result.diagnosis)) == ["restart"]
+def test_the_parts_beside_a_restart_have_their_own_errors() -> None:
+    result = outcome(GROUNDTRUTH, restarted(1.0))
     whole = result.evaluation.ate["position_m"]
     assert whole is not None
     assert all(part.ate is not None and part.ate < whole.rmse for part in result.evaluation.parts)
@@ -144,23 +235,19 @@ def test_a_restart_is_one_of_the_estimate(gap_s: float) -> None:
     ]
 
 
-def test_one_estimated_pose_out_and_back_is_no_restart() -> None:
-    wrong = moved(
-        ESTIMATE, rows(ESTIMATE, 30.0, 30.0 + 1.5 * ESTIMATE.duration_s / len(ESTIMATE)), 9.0
-    )
-    assert list(texts(outcome(GROUNDTRUTH, wrong).diagnosis)) == ["outlier"]
+def test_a_clock_step_back_in_file_order_is_corrected_without_receive_times() -> None:
+    after = outcome(GROUNDTRUTH, stepped(ESTIMATE, -4.0, received=False), correct="suggested")
+    assert np.allclose(after.evaluation.estimate.stamps, ESTIMATE.stamps, atol=60_000_000)
 
 
-def test_clock_steps_back_in_file_order_are_corrected_without_receive_times() -> None:
-    stamps = ESTIMATE.stamps.copy()
-    stamps[rows(ESTIMATE, 30.0)] -= 4_000_000_000
-    stepped = dataclasses.replace(ESTIMATE, stamps=stamps)
-    before = outcome(GROUNDTRUTH, stepped)
-    assert list(texts(before.diagnosis)) == ["clock_step"]
-    after = outcome(GROUNDTRUTH, stepped, correct="suggested").evaluation
-    assert np.array_equal(after.estimate.stamps[[0, -1]], ESTIMATE.stamps[[0, -1]]) or np.allclose(
-        after.estimate.stamps, ESTIMATE.stamps, atol=60_000_000
-    )
+def test_pairs_by_row_have_no_losses() -> None:
+    """They have no times in which an estimate could be frozen."""
+    truth = GROUNDTRUTH[::20]
+    estimate = held(truth, rows(truth, 30.0), POSE)
+    for method, causes in (("nearest", ["frozen"]), ("index", [])):
+        protocol = Protocol(association=AssociationRule(method), lengths=())
+        findings = run(truth, [estimate], Request(protocol)).runs[0].diagnosis.findings
+        assert [item.cause for item in findings if item.cause.startswith("frozen")] == causes
 
 
 def test_dropped_outliers_of_the_groundtruth_are_counted() -> None:

@@ -71,11 +71,6 @@ def inside(trajectory: Trajectory, begin_s: float, end_s: float) -> slice:
     return slice(int(np.searchsorted(seconds, begin_s)), int(np.searchsorted(seconds, end_s)))
 
 
-def with_side(pair: tuple[Trajectory, Trajectory], side: str, other: Trajectory) -> list[Event]:
-    """Return the events with one side replaced."""
-    return discontinuities(*((other, pair[1]) if side == SIDES[0] else (pair[0], other)))
-
-
 def only(events: list[Event]) -> Event:
     assert len(events) == 1, events
     return events[0]
@@ -84,39 +79,6 @@ def only(events: list[Event]) -> Event:
 @pytest.mark.parametrize("seed", [811, 812])
 def test_a_healthy_run_has_no_event(seed: int) -> None:
     assert discontinuities(*sides(seed)) == []
-
-
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize(
-    ("size_m", "lasting_s", "kind"), [(1.0, 1e9, "step"), (0.5, 0.2, "outlier")]
-)
-def test_steps_stay_and_outliers_return(
-    side: str, size_m: float, lasting_s: float, kind: str
-) -> None:
-    pair = sides(821)
-    moved = changed(
-        pair[SIDES.index(side)],
-        AT_S,
-        AT_S + lasting_s,
-        lambda positions: positions + size_m * np.array([0.6, 0.8, 0.0]),
-    )
-    event = only(with_side(pair, side, moved))
-    assert (event.kind, event.side) == (kind, side)
-    assert event.m == pytest.approx(size_m, abs=0.1)
-    assert event.t_ns / NANOSECONDS == pytest.approx(AT_S, abs=0.1)
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_a_flipping_marker_is_named(side: str) -> None:
-    pair = sides(831)
-    trajectory = pair[SIDES.index(side)]
-    assert trajectory.quaternions is not None
-    quaternions, rows = trajectory.quaternions.copy(), inside(trajectory, AT_S, AT_S + 1.0)
-    flip = np.broadcast_to(HALF_ROTATION, quaternions[rows].shape)
-    quaternions[rows] = lie.multiply(quaternions[rows], flip)
-    event = only(with_side(pair, side, dataclasses.replace(trajectory, quaternions=quaternions)))
-    assert (event.kind, event.side) == ("flip", side)
-    assert event.deg == pytest.approx(180.0, abs=5.0)
 
 
 @pytest.mark.parametrize("seed", [831, 832])
@@ -146,28 +108,6 @@ def test_a_groundtruth_that_is_rare_at_the_start_shows_a_restart() -> None:
     estimate = changed(estimate, AT_S, np.inf, lambda rows: rows - rows[0] + first)
     event = only(discontinuities(groundtruth, estimate))
     assert (event.kind, event.side, event.certainty) == ("restart", "estimate", "sure")
-
-
-@pytest.mark.parametrize("gap_s", [0.0, 2.0])
-def test_a_restart_is_one_of_the_estimate_also_in_a_gap(gap_s: float) -> None:
-    groundtruth, estimate = sides(841)
-    rows = inside(estimate, AT_S, np.inf)
-    estimate = changed(estimate, AT_S, np.inf, lambda item: item - item[0] + estimate.positions[0])
-    kept = np.ones(len(estimate), dtype=bool)
-    kept[inside(estimate, AT_S - gap_s, AT_S)] = False
-    event = only(discontinuities(groundtruth, estimate[kept]))
-    assert (event.kind, event.side) == ("restart", "estimate")
-    assert event.end_ns == estimate.stamps[rows.start]
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_a_position_that_holds_is_frozen_though_the_rotation_lives(side: str) -> None:
-    pair = sides(851)
-    trajectory = pair[SIDES.index(side)]
-    held = changed(trajectory, AT_S, AT_S + 5.0, lambda positions: 0.0 * positions + positions[0])
-    event = only(with_side(pair, side, held))
-    assert (event.kind, event.side) == ("frozen_position", side)
-    assert event.s == pytest.approx(5.0, abs=0.1)
 
 
 @pytest.mark.parametrize("side", SIDES)

@@ -13,12 +13,13 @@ from state_rows import states
 from strategies import make_element
 
 from benchmarks.diagnosis_runs import DRIFTS, KINDS, simulated
+from trajeval_ros.diagnosis.lost_tracking_tests import losses_in
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.discontinuities.events import Loss
-from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses, losses_of
+from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
 
 PAIRS = {
     kind: associate(pair.truth, pair.estimate, pair.protocol.association)
@@ -136,7 +137,7 @@ def test_a_divergence_of_3_mps2_is_an_error_in_5_s(kind: str, begin: int) -> Non
 def test_drift_is_no_loss(kind: str, drift: str) -> None:
     pair = simulated(99_000, kind, drift, 120.0)
     pairs = associate(pair.truth, pair.estimate, pair.protocol.association)
-    assert losses_of(pairs.groundtruth, pairs.estimate).events == []
+    assert losses_in(pairs) == []
 
 
 @given(seed=st.integers(0, 100), row=st.integers(50, 1000), metres=st.floats(0.0, 100.0))
@@ -174,9 +175,13 @@ def test_an_outlier_of_the_groundtruth_at_rest_is_no_motion(
 
 
 @pytest.mark.parametrize("count", [200, 600])
-def test_frozen_time_is_not_covered(count: int) -> None:
+@pytest.mark.parametrize("rotates", [False, True])
+def test_frozen_time_is_not_covered(count: int, *, rotates: bool) -> None:
+    """Also if the rotation lives, or repeats for a part of the time."""
     pair = simulated(31, "drone", "walk", 60.0)
     poses = frozen(pair.estimate, 400, 400 + count)
+    if rotates:
+        poses[450:, 3:7] = rows(pair.estimate)[450:, 3:7]
     estimate = Trajectory(pair.estimate.stamps, poses[:, :3], poses[:, 3:7])
     before, after = (
         associate(pair.truth, item, pair.protocol.association).coverage.covered

@@ -20,7 +20,7 @@ from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.one_stream import KnownEvent, OneStream
-from trajeval_ros.metrics.discontinuities.recorded import own_discontinuities
+from trajeval_ros.metrics.discontinuities.recorded import stream_discontinuities
 
 DATA = Path(__file__).parents[3] / "shared/data"
 AT_S, END_S = 40.0, np.inf
@@ -57,7 +57,7 @@ def flipped(trajectory: Trajectory, begin_s: float, end_s: float) -> Trajectory:
 
 def events_of(trajectory: Trajectory, side: str = "estimate") -> list[Event]:
     """Return the events without gaps, of which a simulated flight has one."""
-    return [event for event in own_discontinuities(trajectory, side) if event.kind != "gap"]
+    return [event for event in stream_discontinuities(trajectory, side) if event.kind != "gap"]
 
 
 def only(events: list[Event]) -> Event:
@@ -70,7 +70,7 @@ def only(events: list[Event]) -> Event:
 def test_a_healthy_flight_has_only_its_gap(seed: int, number: int) -> None:
     trajectory = flights(seed)[number]
     assert events_of(trajectory, SIDES[number]) == []
-    gaps = own_discontinuities(trajectory, SIDES[number])
+    gaps = stream_discontinuities(trajectory, SIDES[number])
     longest_s = float(np.diff(trajectory.seconds).max())
     assert [event.s for event in gaps] == [pytest.approx(longest_s)] * number
 
@@ -138,7 +138,7 @@ def test_a_robot_that_brakes_and_rests_is_not_frozen() -> None:
     speed = np.clip(0.5 * np.minimum(seconds % 20.0, 12.0 - seconds % 20.0), 0.0, 1.0)
     positions = np.cumsum(speed)[:, None] / 20.0 * [1.0, 0.0, 0.0]
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
-    assert own_discontinuities(Trajectory(stamps, positions, upright), "estimate") == []
+    assert stream_discontinuities(Trajectory(stamps, positions, upright), "estimate") == []
 
 
 def test_a_quantised_encoder_in_stop_and_go_has_no_event() -> None:
@@ -151,7 +151,7 @@ def test_a_quantised_encoder_in_stop_and_go_has_no_event() -> None:
     along = np.stack([np.cos(yaw), np.sin(yaw), 0.0 * yaw], axis=1)
     positions = np.cumsum(np.diff(path, prepend=0.0)[:, None] * along, axis=0)
     quaternions = lie.from_rotation_vector(np.outer(yaw, [0.0, 0.0, 1.0]))
-    assert own_discontinuities(Trajectory(stamps, positions, quaternions), "estimate") == []
+    assert stream_discontinuities(Trajectory(stamps, positions, quaternions), "estimate") == []
 
 
 @pytest.mark.parametrize("step_s", [-10.017, -0.15, 0.417, 3.017])
@@ -163,7 +163,7 @@ def test_a_clock_step_is_measured_by_receive_times(step_s: float) -> None:
     stamps[inside(groundtruth, AT_S, END_S)] += round(step_s * NANOSECONDS)
     reading = SourceInfo(receptions=ReceiveTimes(received))
     stepped = dataclasses.replace(groundtruth, stamps=stamps, reading=reading)
-    event = only(own_discontinuities(stepped, "groundtruth"))
+    event = only(stream_discontinuities(stepped, "groundtruth"))
     assert (event.kind, event.certainty) == ("clock_step", "sure")
     assert event.s == pytest.approx(step_s, abs=0.01)
 

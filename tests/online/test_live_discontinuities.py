@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 
-from trajeval_ros import simulate
+from trajeval_ros import OnlineEvaluator, Protocol, Request, run, simulate
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.metrics.discontinuities.recorded import discontinuities
@@ -59,6 +60,28 @@ def test_events_are_those_of_the_recording(every_s: float) -> None:
         recorded.t_ns,
         recorded.end_ns,
     )
+
+
+@pytest.mark.parametrize("mps2", [0.1, 1.0])
+def test_divergences_of_the_result_are_those_of_the_level(mps2: float) -> None:
+    """Also a small one, which is no finding."""
+    since_s = np.maximum(ESTIMATE.seconds - STEP_S, 0.0)
+    positions = ESTIMATE.positions + np.outer(0.5 * mps2 * since_s**2, [0.6, 0.8, 0.0])
+    diverging = dataclasses.replace(ESTIMATE, positions=positions, velocities=None)
+    live, ends = OnlineEvaluator(), np.random.default_rng(3).integers(1, 40, 30)
+    for begin_s, end_s in itertools.pairwise([0, *sorted(ends), 50]):
+        for side, add in ((TRUTH, live.add_groundtruth), (diverging, live.add_estimate)):
+            add(side[(side.seconds >= begin_s) & (side.seconds < end_s)])
+        live.update(at_end=end_s == 50)
+    result = run(TRUTH, [diverging], Request(Protocol(lengths=()))).runs[0]
+    [event], [level] = result.evaluation.events, live.losses.events
+    assert dataclasses.asdict(event) == dataclasses.asdict(level) | {
+        name: pytest.approx(getattr(level, name), rel=1e-9) for name in ("m", "moved_m")
+    }
+    told = [remark.text for remark in result.evaluation.remarks]
+    assert sum("the estimate diverges from " in text for text in told) == 1
+    is_headline = result.diagnosis.named("diverged") is not None
+    assert is_headline == (mps2 == 1.0)
 
 
 def test_no_event_begins_in_what_is_settled() -> None:

@@ -19,6 +19,7 @@ from trajeval_ros.diagnosis.discontinuities import (
     changes_motions,
     examined_discontinuities,
     has_clock_step,
+    with_divergences,
     with_events,
 )
 from trajeval_ros.diagnosis.evaluation_tests import (
@@ -88,11 +89,15 @@ def diagnose(
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
     inputs = InputPair(*sides, protocol, offset_s)
-    known, is_partial = _tested_where_tracked(losses, pairs, inputs)
+    known, is_partial, unexplained = _tested_where_tracked(losses, pairs, inputs)
     if known.named("other_run") and _is_of_noisy_fixes(evaluation):
         known = known.without("other_run", "fixes are noisier than short motions")
-    if not any(map(_explains_motions, known.findings)):
-        evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
+    is_explained = any(map(_explains_motions, known.findings))
+    if not is_explained or known.names_any(_OTHER_PAIRS):
+        searched = with_events(evaluation, groundtruth, estimate, paired=paired)
+        # After a step of a clock, motions agree by chance with wrong conventions, too.
+        evaluation = evaluation if is_explained and not has_clock_step(searched) else searched
+    evaluation = with_divergences(evaluation, unexplained)
     # A flip changes no rate of motion, by which clocks and other runs are known.
     is_apart = known.names_any(_OTHER_PAIRS) and not has_clock_step(evaluation)
     if changes_motions(evaluation) and not is_apart:
@@ -138,18 +143,19 @@ def diagnose_inputs(
     except InputError:  # no pairs: their number is not the cause
         return _tested(inputs)
     number = number_of_pairs(protocol, pairs, groundtruth, estimate)
-    known, _ = _tested_where_tracked(losses_in(pairs), pairs, inputs)
+    known, *_ = _tested_where_tracked(losses_in(pairs), pairs, inputs)
     return Diagnosis.of([number, *known.examined])
 
 
 def _tested_where_tracked(
     losses: Sequence[Loss], pairs: Association, inputs: InputPair
-) -> tuple[Diagnosis, bool]:
+) -> tuple[Diagnosis, bool, Sequence[Loss]]:
     """Report losses, and apply the other tests to the rest, since a loss looks like most mistakes.
 
     Returns:
-        The diagnosis, and whether the estimate was lost. A divergence that stays within the size
-        of the path may be the effect of another mistake, such as clocks that differ.
+        The diagnosis, whether it names a loss, and the losses that no mistake explains. A
+        divergence that stays within the size of the path may be the effect of another mistake,
+        such as clocks that differ; one that is no larger than drift is no finding.
     """
     certain = [loss for loss in losses if is_certain(loss, pairs)]
     diagnosis = _tested(inputs, certain)
@@ -159,17 +165,19 @@ def _tested_where_tracked(
         whole = _tested(inputs, frozen)
         if whole.names_any(_OTHER_PAIRS):
             certain, diagnosis = frozen, whole
-    uncertain = [loss for loss in losses if loss not in certain and is_large(loss, pairs)]
-    from_start = any(begins_at_start(loss, pairs) for loss in uncertain)
-    if uncertain and not any(_explains_loss(one, from_start) for one in diagnosis.findings):
-        certain = sorted((*certain, *uncertain), key=lambda loss: loss.t_ns)
-        diagnosis = _tested(inputs, certain)
+    unexplained: Sequence[Loss] = certain
+    from_start = any(begins_at_start(loss, pairs) for loss in losses if loss not in certain)
+    if not any(_explains_loss(finding, from_start) for finding in diagnosis.findings):
+        unexplained, number = losses, len(certain)
+        certain = [loss for loss in losses if loss in certain or is_large(loss, pairs)]
+        if len(certain) > number:
+            diagnosis = _tested(inputs, certain)
     if not certain:
-        return diagnosis, False
+        return diagnosis, False, unexplained
     lost = lost_tracking(certain, pairs, int(inputs.groundtruth.stamps.min()))
     # Lost messages look like keyframes.
     rest = [test for test in diagnosis.examined if test.test != "keyframes"]
-    return Diagnosis.of([lost, *rest]), True
+    return Diagnosis.of([lost, *rest]), True, unexplained
 
 
 def _explains_loss(finding: Finding, from_start: bool) -> bool:

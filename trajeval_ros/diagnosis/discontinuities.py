@@ -10,11 +10,12 @@ import numpy as np
 
 from trajeval_ros.diagnosis.causes import CAUSES, DISCONTINUITIES, cause_name
 from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding, TestResult, Value
+from trajeval_ros.diagnosis.lost_tracking_tests import values_of
 from trajeval_ros.formatting.numbers import counted, four_digits
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities import events as kinds
-from trajeval_ros.metrics.discontinuities.events import Event
+from trajeval_ros.metrics.discontinuities.events import Event, Loss
 from trajeval_ros.metrics.discontinuities.parts import (
     RunPart,
     parts_of,
@@ -66,6 +67,15 @@ def with_events(
     events = tuple(discontinuities(groundtruth, estimate, offset_ns))
     parts = parts_of(pairs, events, evaluation.protocol) if has_times else ()
     return dataclasses.replace(evaluation, events=events, parts=parts)
+
+
+def with_divergences(evaluation: Evaluation, losses: Sequence[Loss]) -> Evaluation:
+    """Return an evaluation with divergences as events, too; a step of a clock explains them."""
+    diverged = [loss for loss in losses if loss.kind == kinds.DIVERGED]
+    if not diverged or has_clock_step(evaluation):
+        return evaluation
+    events = sorted((*evaluation.events, *diverged), key=lambda event: event.t_ns)
+    return dataclasses.replace(evaluation, events=tuple(events))
 
 
 def _has_times(evaluation: Evaluation) -> bool:
@@ -128,6 +138,8 @@ def sentence_about(event: Event, first_ns: int = 0) -> str:
             f"the {part} of the {event.side} is frozen since {since_s:.1f} s, while the {other} "
             f"{motion}"
         )
+    if isinstance(event, Loss):
+        return _sentence_about_loss([event], first_ns)
     seen = _seen([event], (), first_ns)
     if seen.cause in DISCONTINUITIES:
         return Finding.of(seen).sentence
@@ -236,6 +248,8 @@ def _counted(group: Sequence[Event], first_ns: int | None) -> str:
     `first_ns` is the first timestamp; None if the poses have none.
     """
     kind, side = group[0].kind, group[0].side
+    if kind == kinds.DIVERGED and first_ns is not None:
+        return _sentence_about_loss(group, first_ns)
     largest = max(event.m for event in group)
     size = f" of up to {largest:.2f} m" if largest else ""
     end_ns = group[0].end_ns
@@ -246,3 +260,10 @@ def _counted(group: Sequence[Event], first_ns: int | None) -> str:
     whose = "of an undecided side" if side == kinds.UNDECIDED else f"of the {side}"
     noun = _NOUNS.get(kind, kind.replace("_", " "))
     return f"{counted(len(group), noun)} {whose}{size}, {first}"
+
+
+def _sentence_about_loss(group: Sequence[Event], first_ns: int) -> str:
+    losses = [event for event in group if isinstance(event, Loss)]
+    longest = max(losses, key=lambda loss: loss.s)
+    values = values_of(longest, first_ns, len(losses))
+    return Finding.of(Detection(longest.kind, values)).sentence

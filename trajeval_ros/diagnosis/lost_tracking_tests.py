@@ -12,7 +12,7 @@ from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN, Loss
-from trajeval_ros.metrics.discontinuities.lost_tracking import losses_of
+from trajeval_ros.metrics.discontinuities.lost_tracking import divergences_in
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
@@ -30,7 +30,9 @@ def losses_in(pairs: Association) -> Sequence[Loss]:
     """Return the losses of tracking in pairs; none without timestamps."""
     if pairs.rule.method == "index":
         return ()
-    return losses_of(pairs.groundtruth, pairs.estimate, of_fixes=pairs.is_at_groundtruth).events
+    # Fixes and points are too few or too noisy to show a divergence.
+    diverged = [] if pairs.is_at_groundtruth else divergences_in(pairs.groundtruth, pairs.estimate)
+    return sorted((*pairs.frozen, *diverged), key=lambda loss: loss.t_ns)
 
 
 def is_certain(loss: Loss, pairs: Association) -> bool:
@@ -74,16 +76,23 @@ def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> 
             continue
         longest = max(some, key=lambda loss: loss.s)
         loss = some[0] if kind == DIVERGED else longest
-        values: dict[str, Value] = {
-            "at_s": (loss.t_ns - first_ns) / NANOSECONDS,
-            "after_s": (loss.end_ns - first_ns) / NANOSECONDS,
-            "lost_s": loss.s,
-            "until": f" for {loss.s:.1f} s" if loss.is_over else "",
-            "number": f" (longest of {len(some)} times)" if len(some) > 1 else "",
-            "true_m": loss.m,
-            "true_deg": loss.deg,
-            "moved_m": loss.moved_m,
-        }
         of_start = begins_at_start(loss, pairs) and (loss.is_over or kind == DIVERGED)
-        seen.append(Detection(f"{kind}_at_start" if of_start else kind, values))
+        number = len(some) if kind == FROZEN else 1
+        cause = f"{kind}_at_start" if of_start else kind
+        seen.append(Detection(cause, values_of(loss, first_ns, number)))
     return TestResult("lost tracking", {"losses": float(len(losses))}, tuple(seen))
+
+
+def values_of(loss: Loss, first_ns: int, number: int = 1) -> dict[str, Value]:
+    """Return the numbers of the sentence about a loss, the longest of some."""
+    longest = f" (longest of {number} times)" if number > 1 else ""
+    return {
+        "at_s": (loss.t_ns - first_ns) / NANOSECONDS,
+        "after_s": (loss.end_ns - first_ns) / NANOSECONDS,
+        "lost_s": loss.s,
+        "until": f" for {loss.s:.1f} s{longest}" if loss.is_over else longest,
+        "number": longest,
+        "true_m": loss.m,
+        "true_deg": loss.deg,
+        "moved_m": loss.moved_m,
+    }

@@ -26,13 +26,14 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter, completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
-from trajeval_ros.metrics.discontinuities.lost_tracking import losses_of
+from trajeval_ros.metrics.discontinuities.lost_tracking import frozen_in
 from trajeval_ros.metrics.nearest_association import nearest_pairs
 from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
 from trajeval_ros.metrics.other_programs import match_frames
 
 if TYPE_CHECKING:
     from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
+    from trajeval_ros.metrics.discontinuities.events import Loss
 
 _LONGEST_S = 1e9  # limit of time differences and gaps; int64 nanoseconds hold more
 AUTO, AT_GROUNDTRUTH = "auto", "groundtruth-stamps"
@@ -118,6 +119,7 @@ class Association:
     from_the_start: bool = True  # whether the first pair has the first estimated state
     # Of the estimate, for `groundtruth-stamps`; None if no pair is between two of its states.
     interpolation: Interpolation | None = None
+    frozen: tuple[Loss, ...] = ()  # times in which the estimate repeats its pose
 
     def __len__(self) -> int:
         return len(self.estimate)
@@ -199,10 +201,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     # Without timestamps in the estimate, a pair has the groundtruth's.
     stamps = paired.stamps if by_row and groundtruth.reading.stamped else pairs.stamps
     paired = dataclasses.replace(paired, stamps=stamps)
-    frozen_ns = 0
-    if not (by_row or completed):
-        losses = losses_of(paired, pairs, diverging=False, max_gap_s=rule.max_gap_s)
-        frozen_ns = losses.frozen_ns
+    frozen, frozen_ns = ((), 0) if by_row else frozen_in(paired, pairs, max_gap_s=rule.max_gap_s)
     # Coverage counts a groundtruth state once, also if several pairs share it.
     once = (
         paired
@@ -226,6 +225,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         continuous=continuous,
         groundtruth_rows=groundtruth_rows,
         from_the_start=bool(pairs.stamps[0] == shifted.stamps[0]),
+        frozen=frozen,
     )
 
 
@@ -276,6 +276,7 @@ def _at_groundtruth(
         raise NoMatchError(_why_no_match(groundtruth, states, rule, dropped))
     meter = InterpolationMeter()
     meter.add(states.stamps, states.positions)
+    frozen, _ = frozen_in(groundtruth[rows], between, of_fixes=True)
     return Association(
         rule=rule,
         groundtruth=groundtruth[rows],
@@ -285,6 +286,7 @@ def _at_groundtruth(
         dropped=add_counts(estimate.reading.dropped, dropped),
         groundtruth_rows=rows,
         interpolation=meter.interpolation if bracket.is_between else None,
+        frozen=frozen,
     )
 
 

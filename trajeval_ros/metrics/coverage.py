@@ -2,8 +2,8 @@
 
 An estimate at the camera's rate was lost during a step much longer than usual. Keyframes are
 chosen by motion, so slow motion makes long steps. For keyframes, only a long step with more motion
-than usual is a loss; the motion is the groundtruth's. While the estimate repeats its pose and the
-groundtruth moves, it was lost, too (`TrackingLosses`).
+than usual is a loss; the motion is the groundtruth's. While the estimate repeats its position and
+the groundtruth moves, it was lost, too (`TrackingLosses`).
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association, AssociationRule
 from trajeval_ros.metrics.coverage import Coverage
+from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.premises import Doubts
@@ -261,6 +262,7 @@ class OnlineEvaluator:
             estimate_coverage=self._estimate_coverage(),
             coverage=self._coverage.coverage() or Coverage(0.0, 0.0),
             dropped=self.buffer.dropped,
+            frozen=tuple(loss for loss in self.losses.events if loss.kind == FROZEN),
         )
 
     def _associated(self, pairs: PairedStates) -> Association:

@@ -47,7 +47,7 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.events import GROUNDTRUTH
-from trajeval_ros.metrics.discontinuities.recorded import own_discontinuities
+from trajeval_ros.metrics.discontinuities.recorded import stream_discontinuities
 
 # Effective densities: those of data sheets are too small on real recordings (vibration, scale).
 IMU_NOISE = ImuNoise(8e-4, 2e-2)
@@ -135,7 +135,7 @@ def examine(
     first = int(groundtruth.stamps.min())
     if readings is None:
         checks = check_poses(groundtruth, None, first)
-        events = own_discontinuities(groundtruth, GROUNDTRUTH)
+        events = stream_discontinuities(groundtruth, GROUNDTRUTH)
         causes = [
             *doctor_causes.discontinuity_causes(events, first),
             *doctor_causes.sample_causes(checks, None, first),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajeval_ros.metrics.discontinuities.open_step import GAP
 from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import RelativeMotion
 from trajeval_ros.metrics.statistics import median
@@ -38,7 +39,7 @@ def clock_by_motion(
     """
     stamps = stream.stamps
     first = max(stream.row_from(before_s + 1e-9) - 1, 1)
-    gaps = np.flatnonzero(np.diff(stamps[first - 1 :]) > 2.5 * period_s)
+    gaps = np.flatnonzero(np.diff(stamps[first - 1 :]) > GAP * period_s)
     row = first + int(gaps[0]) if len(gaps) else len(stamps)
     if row >= len(stamps) or stamps[row - 1] >= after_s:
         return None

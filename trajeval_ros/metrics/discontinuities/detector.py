@@ -8,7 +8,7 @@ from trajeval_ros.metrics.discontinuities import events as kinds
 from trajeval_ros.metrics.discontinuities.clock_by_motion import clock_by_motion
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.frozen_parts import FrozenParts
-from trajeval_ros.metrics.discontinuities.open_step import OpenStep
+from trajeval_ros.metrics.discontinuities.open_step import PairStep
 from trajeval_ros.metrics.discontinuities.pairs import PairSource
 from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import RelativeMotion
@@ -44,7 +44,7 @@ class Discontinuities:
         self._source = PairSource(self._streams)
         self._motion = RelativeMotion(oriented=oriented)
         self._steps: StepSearch | None = None  # None until the rates are known
-        self._frozen = FrozenParts(self._streams)
+        self._frozen = FrozenParts(dict(zip(SIDES, self._streams, strict=True)))
         self._zero_ns: int | None = None
 
     @property
@@ -115,11 +115,11 @@ class Discontinuities:
         assert self._steps is not None
         while self._steps.take(self._source.new_pairs()):
             pass  # a clock step was corrected: pair again
-        self.events += self._frozen.advance(self._motion.scale, self._ns)
+        self.events += (event for event, _ in self._frozen.advance(self._ns, self._motion.scale))
         step = self._steps.open
         self._source.drop_old(None if step is None else float(step.begin[0]))
 
-    def _correct_clock(self, step: OpenStep, limit_m: float) -> bool:
+    def _correct_clock(self, step: PairStep, limit_m: float) -> bool:
         """Correct a forward clock step in a gap, which only the motion shows."""
         assert self._source.periods is not None
         before_s, after_s = float(step.begin[0]), float(step.after[0])

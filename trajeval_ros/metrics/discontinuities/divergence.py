@@ -37,8 +37,8 @@ _AGREES_AGAIN, _AGREES_M = 6, 0.5  # displacements that end a divergence, and th
 
 # Steps are columns (15, n): time in seconds; displacements of groundtruth and of estimate, in
 # their frames and in their bodies, and their lengths.
-_TIME_S, _TRUE, _TRUE_IN_BODY, _TRUE_M = 0, slice(1, 4), slice(4, 7), 7
-_OWN, _OWN_IN_BODY, _OWN_M, _WIDTH = slice(8, 11), slice(11, 14), 14, 15
+_TIME_S, _GROUNDTRUTH, _GROUNDTRUTH_IN_BODY, _GROUNDTRUTH_M = 0, slice(1, 4), slice(4, 7), 7
+_ESTIMATE, _ESTIMATE_IN_BODY, _ESTIMATE_M, _WIDTH = slice(8, 11), slice(11, 14), 14, 15
 _POSITIONS = [0, 1, 2, 7, 8, 9]  # columns of two poses
 
 
@@ -120,7 +120,13 @@ class Divergence:
             excess, of_body = (ratio / self._limit - 1.0 for ratio in self._ratios_of(steps))
             if self._sum or self._is_lost or self._runs_away or (excess > 0.0).any():
                 scale = self._scale if self._agreed else self._first_scale
-                columns = *spans, steps[_TRUE_M], scale * steps[_OWN_M], excess, of_body
+                columns = (
+                    *spans,
+                    steps[_GROUNDTRUTH_M],
+                    scale * steps[_ESTIMATE_M],
+                    excess,
+                    of_body,
+                )
                 for row in zip(*(column.tolist() for column in columns), strict=True):
                     self._follow(*row)
         self._chunk = np.hstack([self._chunk, steps])
@@ -135,7 +141,7 @@ class Divergence:
         self,
         begin_ns: int,
         end_ns: int,
-        true_m: float,
+        groundtruth_m: float,
         moved_m: float,
         excess: float,
         of_body: float,
@@ -146,7 +152,7 @@ class Divergence:
                 return
             self._begin_ns, self._since_m, self._moved_m = begin_ns, 0.0, 0.0
             self._of_body = self._before = 0.0
-        self._since_m += true_m
+        self._since_m += groundtruth_m
         self._moved_m += moved_m
         self._sum = _accumulated(self._sum, excess)
         # The smaller of two in a row, since a jump is in one.
@@ -165,7 +171,7 @@ class Divergence:
             self.events.append(event)
         agrees = min(excess, of_body) <= 0.0
         self._agreeing = self._agreeing + 1 if agrees else 0
-        self._agreeing_m = self._agreeing_m + true_m if agrees else 0.0
+        self._agreeing_m = self._agreeing_m + groundtruth_m if agrees else 0.0
         event = self.events[-1]
         event.end_ns, event.m, event.moved_m = end_ns, self._since_m, self._moved_m
         event.s = (end_ns - event.t_ns) / NANOSECONDS
@@ -180,46 +186,46 @@ class Divergence:
         """
         assert self._rotations is not None
         frames, bodies = self._scale * self._rotations
-        apart_m = _lengths(frames @ steps[_OWN] - steps[_TRUE])
-        in_body_m = _lengths(bodies @ steps[_OWN_IN_BODY] - steps[_TRUE_IN_BODY])
-        lengths_m = np.abs(self._scale * steps[_OWN_M] - steps[_TRUE_M])
-        unit_m = steps[_TRUE_M] + _NOISE_MPS * steps[_TIME_S]
+        apart_m = _lengths(frames @ steps[_ESTIMATE] - steps[_GROUNDTRUTH])
+        in_body_m = _lengths(bodies @ steps[_ESTIMATE_IN_BODY] - steps[_GROUNDTRUTH_IN_BODY])
+        lengths_m = np.abs(self._scale * steps[_ESTIMATE_M] - steps[_GROUNDTRUTH_M])
+        unit_m = steps[_GROUNDTRUTH_M] + _NOISE_MPS * steps[_TIME_S]
         return apart_m / unit_m, np.where(np.isnan(in_body_m), lengths_m, in_body_m) / unit_m
 
     def _learn(self, steps: Floats) -> None:
         """Fit rotation and scale to steps (15, n) and those before, and learn the differences."""
         if self._rotations is not None:
             ratios = np.minimum(*self._ratios_of(steps))
-            moves = steps[_TRUE_M] > _MOVES_MPS * steps[_TIME_S]
+            moves = steps[_GROUNDTRUTH_M] > _MOVES_MPS * steps[_TIME_S]
             self._ratios = [*self._ratios, *ratios[moves].tolist()][-_KEPT:]
             if len(self._ratios) >= _LEAST_KEPT:
                 tail = sorted(self._ratios)[int(0.95 * len(self._ratios))]
                 self._limit = min(max(_TIMES_USUAL * tail, _DRIFT[0]), _DRIFT[1])
             if self._agreed:
                 steps = steps[:, ratios <= _OUTLIER * self._limit]
-        time_s, true_m, own_m = steps[[_TIME_S, _TRUE_M, _OWN_M]]
+        time_s, groundtruth_m, estimate_m = steps[[_TIME_S, _GROUNDTRUTH_M, _ESTIMATE_M]]
         # Only motion is forgotten by time: a hover keeps the fit.
-        moving_s = float(time_s[true_m > _MOVES_MPS * time_s].sum())
+        moving_s = float(time_s[groundtruth_m > _MOVES_MPS * time_s].sum())
         kept = math.exp(-moving_s / _MEMORY_S)
-        added = true_m, time_s, true_m**2, true_m * own_m, own_m**2
+        added = groundtruth_m, time_s, groundtruth_m**2, groundtruth_m * estimate_m, estimate_m**2
         self._sums = kept * self._sums + np.array([item.sum() for item in added])
         products = np.empty((2, 3, 3))
-        products[0] = steps[_TRUE] @ steps[_OWN].T
-        products[1] = steps[_TRUE_IN_BODY] @ steps[_OWN_IN_BODY].T
+        products[0] = steps[_GROUNDTRUTH] @ steps[_ESTIMATE].T
+        products[1] = steps[_GROUNDTRUTH_IN_BODY] @ steps[_ESTIMATE_IN_BODY].T
         if math.isnan(products[1, 0, 0]):  # without orientations
             products[1] = 0.0
         self._products = kept * self._products + products
         self._learned += len(time_s)
-        path_m, _, true_true, true_own, own_own = self._sums.tolist()
-        if own_own == 0.0:
+        path_m, _, squares, product, estimate_squares = self._sums.tolist()
+        if estimate_squares == 0.0:
             return
-        self._scale = true_own / own_own
+        self._scale = product / estimate_squares
         if path_m < _LEAST_M or self._learned < _LEAST_STEPS:
             return
         self._first_scale = self._first_scale or self._scale
         # Whether lengths of displacements correlated before, and whether the estimate moves ever
         # faster than the groundtruth from the start.
-        self._agreed = true_own * true_own > (1.0 - _UNLIKE) * true_true * own_own
+        self._agreed = product * product > (1.0 - _UNLIKE) * squares * estimate_squares
         self._runs_away = self._scale < min(_RUNAWAY, _RUNAWAY_SINCE * self._first_scale)
         # A reflection is allowed: mirrored axes are no divergence.
         left, _, right = np.linalg.svd(self._products)

@@ -12,10 +12,10 @@ from trajeval_ros.metrics.discontinuities.relative_motion import Size
 
 GAP_PERIODS = 4.0  # a longer step of timestamps is a gap: the motion in it is unknown
 # Innovation as a fraction of the step: a smooth side has none, a guilty one nearly all of it.
-_EXONERATES, _CONVICTS = 0.34, 0.5
+EXONERATES, _CONVICTS = 0.34, 0.5
 _TIMES_USUAL = 3.0  # an innovation that is unusual for its side
 _TIMES_OTHER = 3.0  # an innovation that is unusual next to the other side's
-_SLOWEST_S = 0.5  # a slower side does not show which one jumped
+SLOWEST_S = 0.5  # a slower side does not show which one jumped
 
 
 @dataclass(frozen=True)
@@ -49,22 +49,22 @@ def guilty_side(
         whole.append(is_whole)
         gaps.append(0.0 if is_whole or math.isinf(innovation.gap_s) else innovation.gap_s)
         shares.append(max(moved / m if by_m else 0.0, innovation.deg / deg if by_deg else 0.0))
-        least_m = max(_EXONERATES * m, _TIMES_USUAL * unit * innovation.usual_m)
-        least_deg = max(_EXONERATES * deg, _TIMES_USUAL * innovation.usual_deg)
+        least_m = max(EXONERATES * m, _TIMES_USUAL * unit * innovation.usual_m)
+        least_deg = max(EXONERATES * deg, _TIMES_USUAL * innovation.usual_deg)
         is_odd = (by_m and moved > least_m) or (by_deg and innovation.deg > least_deg)
         odd.append(is_whole and is_odd)
     both = shares[0], shares[1]
     undecided = SideVerdict(UNDECIDED, UNDECIDED, both, max(gaps))
-    free = [is_whole and share < _EXONERATES for is_whole, share in zip(whole, both, strict=True)]
+    free = [is_whole and share < EXONERATES for is_whole, share in zip(whole, both, strict=True)]
     if all(free):
         return SideVerdict("", "", both)
-    if periods_s[0] > _SLOWEST_S:
+    if periods_s[0] > SLOWEST_S:
         return undecided
     if any(free):
         number = 1 if free[0] else 0
         is_sure = not whole[number] or both[number] > _CONVICTS
         return SideVerdict(SIDES[number], "sure" if is_sure else "likely", both, gaps[number])
-    if not all(whole) or max(periods_s) > _SLOWEST_S:
+    if not all(whole) or max(periods_s) > SLOWEST_S:
         return undecided
     if odd[0] != odd[1]:
         return SideVerdict(SIDES[int(odd[1])], "likely", both)

@@ -1,9 +1,12 @@
-"""Frozen poses, positions and rotations: exact repeats of one side while the other one moves."""
+"""Frozen poses, positions and rotations: exact repeats that are no rest of the robot.
+
+With two streams, the other side moves meanwhile. In one stream alone, they follow an abrupt stop.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,108 +17,174 @@ from trajeval_ros.metrics.discontinuities.events import (
     FROZEN,
     FROZEN_POSITION,
     FROZEN_ROTATION,
-    SIDES,
+    GROUNDTRUTH,
     Event,
     Loss,
 )
-from trajeval_ros.metrics.discontinuities.pose_stream import FROZEN_S, Repeats, SidePoses
+from trajeval_ros.metrics.discontinuities.pose_stream import (
+    POSE,
+    POSITION,
+    ROTATION,
+    Repeats,
+    SidePoses,
+)
 
 # Motion of the other side that is no noise; the noise of fixes is metres.
 MOVED_M, MOVED_OF_FIXES_M, _MOVED_DEG = 0.15, 10.0, 10.0
 _STILL = 0.15  # of this motion: the other side has not started to move
-_KINDS = {"pose": FROZEN, "position": FROZEN_POSITION, "rotation": FROZEN_ROTATION}
+_KINDS = {POSE: FROZEN, POSITION: FROZEN_POSITION, ROTATION: FROZEN_ROTATION}
+# Of one stream alone. The speeds before a stop: the usual one, and the last one, over some steps,
+# since wheels do not move in every period. A robot brakes to less than a half before it stops.
+_USUAL_S, _LAST_S, _LAST_STEPS, _ABRUPT = 1.0, 0.1, 2, 0.5
+# Motion that the last speed predicts: a slow wheel repeats its pose for a time. Slower robots stop
+# abruptly.
+_PREDICTED = {POSITION: (0.05, 0.05), ROTATION: (10.0, 10.0)}  # m and m/s, deg and deg/s
 
 
 @dataclass(eq=False)
-class _Followed:
+class _RepeatedPart:
+    side: str
     repeats: Repeats
-    until_s: float  # the other side is known until here
+    other: SidePoses | None  # the other side
+    least_s: float  # time from which on it is frozen
     begin_s: float  # the other side is still until here
+    until_s: float  # and known until here
     pose: Floats | None = None  # of the other side at the begin
     m: float = 0.0  # motion of the other side
     deg: float = 0.0
     event: Event | None = None
 
+    @property
+    def lasts_s(self) -> float:
+        return self.repeats.end_s - self.repeats.begin_s
+
 
 class FrozenParts:
-    """Follows the repeats of both sides, and compares them with the other side's motion."""
+    """Follows the repeats of one stream alone, or of both sides."""
 
-    def __init__(self, streams: tuple[SidePoses, SidePoses], moved_m: float = MOVED_M) -> None:
+    def __init__(self, streams: Mapping[str, SidePoses], moved_m: float = MOVED_M) -> None:
+        """Create it with the streams by side; less than `moved_m` is noise of the other one."""
         self._streams, self._moved_m = streams, moved_m
-        self._followed: list[tuple[int, _Followed]] = []
+        self._repeating: list[_RepeatedPart] = []
+        self._rests = False  # whether a rotation has rested: wheels hold it while they drive
 
     @property
     def present(self) -> list[Event]:
         """The events that last."""
-        followed = (item for _, item in self._followed)
-        return [item.event for item in followed if item.event and not item.repeats.is_over]
+        lasting = (item for item in self._repeating if not item.repeats.is_over)
+        return [item.event for item in lasting if item.event]
 
     def settled_until_s(self, side: str) -> float:
         """Return the time until which no later event of a side begins, seconds."""
-        open_s = (item.begin_s for number, item in self._followed if SIDES[number] == side)
-        return min(open_s, default=math.inf)
+        begins_s = (item.begin_s for item in self._repeating if item.side == side)
+        return min(begins_s, default=math.inf)
 
-    def advance(self, scale: float, nanoseconds: Callable[[float], int]) -> list[Event]:
-        """Return new events; those that last are extended.
+    def advance(
+        self, nanoseconds: Callable[[float], int], scale: float = 1.0
+    ) -> Iterator[tuple[Event, float]]:
+        """Yield new events and the times at which they are known; those that last are extended.
 
         `scale` is metres per unit of the estimate.
         """
-        new = []
-        for number, stream in enumerate(self._streams):
-            known = [item.repeats for _, item in self._followed]
+        for item in self._repeating:
+            self._see_rest(item)
+        for side, stream in self._streams.items():
+            known = [item.repeats for item in self._repeating]
             for repeats in stream.repeats:
                 if not any(repeats is item for item in known):
-                    at_s = repeats.begin_s
-                    self._followed.append((number, _Followed(repeats, at_s, at_s)))
-            stream.repeats[:] = [repeat for repeat in stream.repeats if not repeat.is_over]
-        for number, followed in list(self._followed):
-            event = self._follow(number, followed, scale if number == 0 else 1.0)
-            if event is not None:
-                new.append(event)
-            repeats, other = followed.repeats, self._streams[1 - number]
-            is_over = repeats.is_over and other.newest_s >= repeats.end_s
-            if followed.event is not None:
-                followed.event.t_ns = nanoseconds(followed.begin_s)
-                followed.event.end_ns = nanoseconds(repeats.end_s)
-                followed.event.s = repeats.end_s - followed.begin_s
-                if isinstance(followed.event, Loss):
-                    followed.event.is_over = is_over
+                    self._begin(side, repeats)
+            stream.repeats[:] = [repeats for repeats in stream.repeats if not repeats.is_over]
+        for item in list(self._repeating):
+            self._follow(item, scale if item.side == GROUNDTRUTH else 1.0)
+            is_over = item.repeats.is_over
+            if item.other is not None:
+                is_over &= item.other.newest_s >= item.repeats.end_s
+            if item.event is None and item.lasts_s >= item.least_s and self._moved(item) >= 1.0:
+                of_kind = Loss if item.repeats.part == POSE else Event
+                begin = nanoseconds(item.begin_s)
+                item.event = of_kind(_KINDS[item.repeats.part], item.side, begin, begin)
+                yield item.event, item.repeats.begin_s + item.least_s
+            if item.event is not None:
+                end_s = item.repeats.end_s
+                item.event.t_ns, item.event.end_ns = map(nanoseconds, (item.begin_s, end_s))
+                item.event.s, item.event.m, item.event.deg = end_s - item.begin_s, item.m, item.deg
+                if item.other is None:
+                    item.event.ratio = item.event.s / item.least_s
+                else:
+                    item.event.certainty = "sure"
+                if isinstance(item.event, Loss):
+                    item.event.is_over = is_over
             if is_over:
-                self._followed.remove((number, followed))
-        return new
+                self._repeating.remove(item)
 
-    def _follow(self, number: int, followed: _Followed, scale: float) -> Event | None:
-        """Measure the other side's motion; return an event that begins."""
-        repeats, other = followed.repeats, self._streams[1 - number]
-        begin, end = other.row_from(followed.until_s), other.row_after(repeats.end_s)
+    def _begin(self, side: str, repeats: Repeats) -> None:
+        stream, least_s = self._streams[side], self._streams[side].frozen_s
+        other = next((item for item in self._streams.values() if item is not stream), None)
+        if other is None:
+            is_rest = repeats.part == ROTATION and self._rests
+            least_s = math.inf if is_rest else _time_after_stop_s(repeats, stream)
+        begin_s = repeats.begin_s
+        item = _RepeatedPart(side, repeats, other, least_s, begin_s, begin_s)
+        self._repeating.append(item)
+        self._see_rest(item)
+
+    def _see_rest(self, item: _RepeatedPart) -> None:
+        """See a rotation that repeated for a time: later ones may be rests, too."""
+        is_long = item.lasts_s >= self._streams[item.side].frozen_s
+        self._rests |= item.repeats.part == ROTATION and item.repeats.is_over and is_long
+
+    def _moved(self, item: _RepeatedPart) -> float:
+        """Return the motion of the other side as a multiple of noise; infinite without one."""
+        if item.other is None:
+            return math.inf
+        return max(item.m / self._moved_m, item.deg / _MOVED_DEG)
+
+    def _follow(self, item: _RepeatedPart, scale: float) -> None:
+        """Measure the other side's motion."""
+        repeats, other = item.repeats, item.other
+        if other is None:
+            return
+        begin, end = other.row_from(item.until_s), other.row_after(repeats.end_s)
         if begin >= end:
-            return None
-        followed.until_s = float(other.stamps[end - 1]) + 1e-9
-        if followed.pose is None:
-            followed.pose = other.poses[begin].copy()
+            return
+        item.until_s = float(other.stamps[end - 1]) + 1e-9
+        if item.pose is None:
+            item.pose = other.poses[begin].copy()
         first = max(begin - 1, 0)
         poses, stamps = other.poses[first:end], other.stamps[first:end]
         m, deg = np.zeros((2, len(poses)))
-        if repeats.part != "rotation":
-            m = scale * np.linalg.norm(poses[:, :3] - followed.pose[:3], axis=1)
-        if repeats.part != "position":
-            rotations = lie.multiply(lie.conjugate(followed.pose[3:]), poses[:, 3:])
+        if repeats.part != ROTATION:
+            m = scale * np.linalg.norm(poses[:, :3] - item.pose[:3], axis=1)
+        if repeats.part != POSITION:
+            rotations = lie.multiply(lie.conjugate(item.pose[3:]), poses[:, 3:])
             deg = np.degrees(lie.angle(rotations))
         moved = np.maximum(m / self._moved_m, deg / _MOVED_DEG)
         # Of two poses in succession: one outlier of the other side is no motion.
         lesser_m, lesser_deg, lesser = (np.minimum(v[1:], v[:-1]) for v in (m, deg, moved))
-        if max(followed.m / self._moved_m, followed.deg / _MOVED_DEG) < 1.0:
+        if self._moved(item) < 1.0:
             begins = np.flatnonzero(lesser >= 1.0)
             still = np.flatnonzero(moved[: begins[0] + 1 if len(begins) else None] < _STILL)
             if len(still):
-                followed.begin_s = max(followed.begin_s, float(stamps[still[-1]]))
-        followed.m = float(lesser_m.max(initial=followed.m))
-        followed.deg = float(lesser_deg.max(initial=followed.deg))
-        has_moved = max(followed.m / self._moved_m, followed.deg / _MOVED_DEG) >= 1.0
-        is_new = followed.event is None and has_moved
-        if is_new and repeats.end_s - repeats.begin_s >= FROZEN_S:
-            of_kind = Loss if repeats.part == "pose" else Event
-            followed.event = of_kind(_KINDS[repeats.part], SIDES[number], 0, 0, certainty="sure")
-        if followed.event is not None:
-            followed.event.m, followed.event.deg = followed.m, followed.deg
-        return followed.event if is_new else None
+                item.begin_s = max(item.begin_s, float(stamps[still[-1]]))
+        item.m = float(lesser_m.max(initial=item.m))
+        item.deg = float(lesser_deg.max(initial=item.deg))
+
+
+def _time_after_stop_s(repeats: Repeats, stream: SidePoses) -> float:
+    """Return the time of repeats from which on they are no rest, infinite if the robot braked."""
+    begin = max(stream.row_from(repeats.begin_s - _USUAL_S) - 1, 0)
+    end = stream.row_after(repeats.begin_s + 1e-9)
+    stamps, poses = stream.stamps[begin:end], stream.poses[begin:end]
+    if len(stamps) < 3:
+        return math.inf
+    if repeats.part == POSITION:
+        lengths = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    else:
+        rotations = lie.multiply(lie.conjugate(poses[:-1, 3:]), poses[1:, 3:])
+        lengths = np.degrees(lie.angle(rotations))
+    moved, rest = _PREDICTED[repeats.part]
+    first = min(int(stamps.searchsorted(stamps[-1] - _LAST_S)), len(stamps) - 1 - _LAST_STEPS)
+    usual = float(lengths.sum() / (stamps[-1] - stamps[0]))
+    last = float(lengths[first:].sum() / (stamps[-1] - stamps[first]))
+    is_abrupt = last > max(_ABRUPT * usual, rest)
+    return max(stream.frozen_s, moved / last) if is_abrupt else math.inf

@@ -14,23 +14,24 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP, ESTIMATE, GAP, Event
 from trajeval_ros.metrics.discontinuities.exoneration import GAP_PERIODS
+from trajeval_ros.metrics.discontinuities.frozen_parts import FrozenParts
 from trajeval_ros.metrics.discontinuities.open_step import ratio_of
-from trajeval_ros.metrics.discontinuities.own_freezes import FROZEN_S, OwnFreezes
-from trajeval_ros.metrics.discontinuities.own_limits import OwnLimits
-from trajeval_ros.metrics.discontinuities.own_motion import (
-    OwnMotions,
+from trajeval_ros.metrics.discontinuities.pose_stream import ANY_DIFFERS, SidePoses
+from trajeval_ros.metrics.discontinuities.stamp_steps import StampStep
+from trajeval_ros.metrics.discontinuities.stream_limits import StreamLimits
+from trajeval_ros.metrics.discontinuities.stream_motion import (
+    StreamMotions,
     against_earlier,
     one_motion,
-    own_motions,
+    stream_motions,
 )
-from trajeval_ros.metrics.discontinuities.own_steps import OwnSteps
-from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
-from trajeval_ros.metrics.discontinuities.stamp_steps import StampStep
+from trajeval_ros.metrics.discontinuities.stream_steps import StreamSteps
 from trajeval_ros.metrics.statistics import median
 
 _INTERVAL_S = 10.0  # limits are learned after such intervals, and the first one in retrospect
 _LEAST_POSES = 20  # of the first interval
 _MEMORY_S = 45.0  # of poses: the longest learned lag and an interval
+_FROZEN_S = 0.5  # shortest repeats after an abrupt stop
 _CONFIRMED_S = 1.0  # time until a step of a clock is known
 
 
@@ -66,11 +67,11 @@ class OneStream:
         """Create it before the first message; without orientations, positions are tested."""
         self.events: list[Event] = []  # in order of detection
         self._side = side
-        self._stream = SidePoses(oriented=oriented, frozen_s=FROZEN_S, keeps_parts=True)
-        self._freezes = OwnFreezes(self._stream, side)
+        self._stream = SidePoses(oriented=oriented, stored=ANY_DIFFERS, frozen_s=_FROZEN_S)
+        self._frozen = FrozenParts({side: self._stream})
         # None until the rate is known.
-        self._limits: OwnLimits | None = None
-        self._steps: OwnSteps | None = None
+        self._limits: StreamLimits | None = None
+        self._steps: StreamSteps | None = None
         self._longest_s = 0.0  # step between messages that is no gap
         self._stamps: Floats = np.empty(0)  # of messages that are not tested for gaps yet
         self._next = 1  # row of the end of the next motion
@@ -82,7 +83,7 @@ class OneStream:
     @property
     def frozen(self) -> list[Event]:
         """The events of frozen parts that last."""
-        return self._freezes.present
+        return self._frozen.present
 
     def add(
         self, stamps: Stamps, poses: Floats, received: Stamps | None = None
@@ -138,13 +139,13 @@ class OneStream:
                 self._limits.learn(interval)
                 passed = (stamps[interval] - self._interval_end_s) // _INTERVAL_S
                 self._interval_end_s += _INTERVAL_S * (passed + 1.0)
-        for event, known_s in self._freezes.advance(self._ns):
+        for event, known_s in self._frozen.advance(self._ns):
             self._add(event, known_s)
         if stamps[-1] - stamps[0] > 1.5 * _MEMORY_S:
             oldest_s = float(stamps[self._next - 1]) - _MEMORY_S
             self._next -= self._stream.drop_before(oldest_s)
 
-    def _first_limits(self, *, at_end: bool) -> OwnLimits | None:
+    def _first_limits(self, *, at_end: bool) -> StreamLimits | None:
         """Return limits that are learned in the first interval, or None before its end."""
         stamps = self._stream.stamps
         if len(stamps) < 4:
@@ -158,12 +159,12 @@ class OneStream:
         until = int(self._stamps.searchsorted(stamps[last]))
         self._longest_s = GAP_PERIODS * median(np.diff(self._stamps[:until]))
         self._interval_end_s = end_s
-        limits = OwnLimits(self._stream, period_s)
+        limits = StreamLimits(self._stream, period_s)
         motions = self._motions(limits, 1, last)
         limits.keep(motions, np.ones(len(motions.m), dtype=bool))
         limits.learn(last)
         origin = self._stream.first[:3]
-        self._steps = OwnSteps(self._side, origin, period_s, self.events, self._ns)
+        self._steps = StreamSteps(self._side, origin, period_s, self.events, self._ns)
         return limits
 
     def _find_gaps(self) -> None:
@@ -175,7 +176,7 @@ class OneStream:
             event.ratio = size_s / self._longest_s
             self._add(event, end_s)
 
-    def _judge(self, limits: OwnLimits, begin: int, end: int) -> None:
+    def _judge(self, limits: StreamLimits, begin: int, end: int) -> None:
         """Compare the motions that end at rows of one interval with its limits."""
         assert self._steps is not None
         stamps, poses = self._stream.stamps, self._stream.poses
@@ -200,10 +201,10 @@ class OneStream:
                 self._tell(event, motion.known_s)
         self._successive = self._successive if last == len(unusual) - 1 else 0
 
-    def _motions(self, limits: OwnLimits, begin: int, end: int) -> OwnMotions:
+    def _motions(self, limits: StreamLimits, begin: int, end: int) -> StreamMotions:
         """Return the motions between successive poses that end at rows."""
         ends, stream = np.arange(begin, end), self._stream
-        return own_motions(stream.stamps, stream.poses, ends - 1, ends, limits.longest_s)
+        return stream_motions(stream.stamps, stream.poses, ends - 1, ends, limits.longest_s)
 
     def _add(self, event: Event, known_s: float) -> None:
         self.events.append(event)

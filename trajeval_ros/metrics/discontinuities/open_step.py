@@ -1,39 +1,46 @@
-"""A step that is not yet known to stay or to return."""
+"""Steps that are not yet known to stay or to return, and the rules that both searches share."""
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.discontinuities.events import UNDECIDED
 from trajeval_ros.metrics.discontinuities.exoneration import SideVerdict
 from trajeval_ros.metrics.discontinuities.relative_motion import Size
 
+GAP = 2.5  # periods: a longer step of timestamps is no usual motion
+# A step stays after this time, and this number of periods, without an unusual motion: longer
+# delays an alarm, shorter takes an outlier for a step.
+_CALM_S, _CALM_PERIODS = 1.0, 4.0
+_LOST_S, _LOST_MOTIONS = 10.0, 5  # unusual motions without a calm time
+RETURN_S, MOST_STAYED = 60.0, 8  # longest excursion whose return is known, and steps kept
+# Smallest rotation of a flip, since corrections of a heading are smaller, and largest motion of
+# the centre of a marker that flips.
+FLIP_DEG, FLIP_M = 60.0, 0.3
+# Smallest events, as multiples of the limit: single poses of heavy-tailed noise exceed 1.5.
+LEAST_RATIO, LEAST_RATIO_OF_OUTLIER = 1.5, 2.5
 _BACK = 1.0 / 3.0  # of a step: a pose that differs by less has returned
 _MOST_PAIRS, _THINNED = 400, slice(200, 300)  # pairs that are kept, and those that are dropped
 _LESSER = 0.2  # relative to the other part: a smaller part of a step may be noise
 _CLEAR = 3.0  # limits: a part of a step that is no noise
 
 
-@dataclass(eq=False)
 class OpenStep:
-    """A motion that differs by more than usual, and the pairs since."""
+    """Unusual motions without a calm time among them."""
 
-    begin: Floats  # (15,): the last good pair
-    size: Size  # the largest so far
-    first: Size
-    limits: tuple[float, float]  # of the usual differences, metres and deg
-    gap_s: float  # time from the last good pair to the first pair after the step
-    last_s: float  # time of the last unusual motion
-    pairs: list[Floats] = field(default_factory=list)  # the last good one, and those since
-    unusual: int = 1
-    clock_is_tested: bool = False
+    def __init__(self, size: Size, limits: tuple[float, float], at_s: float, gap_s: float) -> None:
+        """Create it with the first unusual motion, which ends at `at_s`, perhaps after a gap."""
+        self.size = self.first_size = size  # the largest so far, and the first
+        self.limits = limits  # of the usual differences, metres and deg
+        self.last_s, self.gap_s = at_s, gap_s
+        self.unusual = 1
 
-    @property
-    def after(self) -> Floats:
-        """The first pair after the step."""
-        return self.pairs[1]
+    def grow(self, size: Size, at_s: float) -> None:
+        """Take the next unusual motion."""
+        self.size = Size(*map(max, self.size, size))
+        self.last_s = at_s
+        self.unusual += 1
 
     @property
     def ratio(self) -> float:
@@ -45,15 +52,41 @@ class OpenStep:
         """Whether it is a step of the position and of the rotation."""
         return by_parts(self.size, self.limits)
 
+    @property
+    def parts(self) -> Size:
+        """The size in the parts that jump, and 0 in the other one."""
+        by_m, by_deg = self.by_parts
+        return Size(self.size.m if by_m else 0.0, self.size.deg if by_deg else 0.0)
+
+    def is_lost(self, lasted_s: float) -> bool:
+        """Return whether the poses neither return nor calm down for this time."""
+        return lasted_s > _LOST_S and self.unusual > _LOST_MOTIONS
+
+
+class PairStep(OpenStep):
+    """A motion of one side against the other one that differs by more than usual."""
+
+    def __init__(
+        self, begin: Floats, after: Floats, size: Size, limits: tuple[float, float]
+    ) -> None:
+        """Create it with the last good pair (15,) and the first one after it."""
+        super().__init__(size, limits, float(after[0]), float(after[0] - begin[0]))
+        self.begin = begin
+        self.pairs = [begin, after]  # the last good one, and those since
+        self.clock_is_tested = False
+
+    @property
+    def after(self) -> Floats:
+        """The first pair after the step."""
+        return self.pairs[1]
+
     def add(self, pair: Floats, total: Size, *, is_unusual: bool) -> None:
         """Take the next pair; `total`: difference to the last good one."""
         self.pairs.append(pair)
         if len(self.pairs) > _MOST_PAIRS:
             del self.pairs[_THINNED]
         if is_unusual:
-            m, deg = max(self.size.m, total.m), max(self.size.deg, total.deg)
-            self.size, self.last_s = Size(m, deg), float(pair[0])
-            self.unusual += 1
+            self.grow(total, float(pair[0]))
 
     def is_back(self, total: Size, limits: tuple[float, float]) -> bool:
         """Return whether a pair is on the former path; `limits`: of the usual differences."""
@@ -67,14 +100,19 @@ class OpenStep:
     def has_edge(self, difference: Size) -> bool:
         """Return whether a motion is an edge: a difference that crosses zero is no return."""
         by_m, by_deg = self.by_parts
-        return (by_m and difference.m > self.first.m / 2) or (
-            by_deg and difference.deg > self.first.deg / 2
+        return (by_m and difference.m > self.first_size.m / 2) or (
+            by_deg and difference.deg > self.first_size.deg / 2
         )
 
     def end_of_motion(self) -> int:
         """Return the row of the pair after the last unusual motion."""
         rows = range(len(self.pairs))
         return next((row for row in rows if self.pairs[row][0] >= self.last_s), len(rows) - 1)
+
+
+def calm_s(period_s: float) -> float:
+    """Return the time without unusual motions after which a step stays."""
+    return max(_CALM_S, _CALM_PERIODS * period_s)
 
 
 def ratio_of(size: Size, limits: tuple[float, float]) -> float:
@@ -98,12 +136,21 @@ def is_back(total: Size, size: Size) -> bool:
     )
 
 
+def is_flip(size: Size, *, holds_position: bool = False) -> bool:
+    """Return whether a step is one of the rotation: the position holds, or hardly moves."""
+    return size.deg > FLIP_DEG and (size.m < FLIP_M or holds_position)
+
+
 def both_edges(out: SideVerdict, back: SideVerdict) -> SideVerdict:
-    """Return the verdict on an excursion by its begin and its end."""
+    """Return the verdict on an excursion by its begin and its end.
+
+    An edge at which both sides move smoothly leaves doubt about a side that is only likely.
+    """
     if out.side == back.side:
         return out
-    if out.side in ("", UNDECIDED):
-        return dataclasses.replace(back, certainty="likely" if back.side else "")
-    if back.side in ("", UNDECIDED):
-        return dataclasses.replace(out, certainty="likely")
-    return dataclasses.replace(out, side=UNDECIDED, certainty=UNDECIDED)
+    doubtful, other = (out, back) if out.side in ("", UNDECIDED) else (back, out)
+    if not other.side:
+        return other
+    if doubtful.side not in ("", UNDECIDED) or (not doubtful.side and other.certainty != "sure"):
+        return dataclasses.replace(other, side=UNDECIDED, certainty=UNDECIDED)
+    return dataclasses.replace(other, certainty="likely")

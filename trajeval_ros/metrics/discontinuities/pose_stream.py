@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,10 @@ from trajeval_ros.metrics.discontinuities.stamp_steps import StampSteps
 from trajeval_ros.metrics.statistics import median
 
 _SAME = 1e-9  # largest difference of repeated numbers
-FROZEN_S = 1.0  # an estimate at 2 Hz that is published at a higher rate repeats a pose for 0.5 s
+_FROZEN_S = 1.0  # an estimate at 2 Hz that is published at a higher rate repeats a pose for 0.5 s
+POSE, POSITION, ROTATION = "pose", "position", "rotation"  # parts that can be repeated
+# Poses that are stored: all, those of which some part differs from the pose before, or both do.
+ALL, ANY_DIFFERS, BOTH_DIFFER = range(3)
 # Poses before an interval that give the usual innovation, and that are kept to know a gap.
 _BEFORE, _AFTER = 30, 3
 
@@ -22,7 +26,7 @@ _BEFORE, _AFTER = 30, 3
 class Repeats:
     """An interval in which a part of the pose is repeated exactly."""
 
-    part: str  # `position`, `rotation` or `pose`
+    part: str
     begin_s: float
     end_s: float
     is_over: bool = False
@@ -41,27 +45,29 @@ class Innovation:
 
 
 class SidePoses:
-    """The poses of one side, without repeated ones, so that a frozen pose is a gap."""
+    """The poses of one side, and repeats of their parts."""
 
     def __init__(
         self,
         *,
         oriented: bool,
-        frozen_s: float = FROZEN_S,
-        keeps_parts: bool = False,
-        of_pose: bool = False,
+        parts: Sequence[str] = (POSITION, ROTATION),
+        stored: int = BOTH_DIFFER,
+        frozen_s: float = _FROZEN_S,
     ) -> None:
         """Create it empty.
 
-        If it `keeps_parts`, poses of which one part is repeated are stored. `of_pose`: only
-        whole poses are repeats, and all are stored.
+        Args:
+            oriented: Whether the poses have orientations.
+            parts: The parts whose repeats are reported.
+            stored: Which poses are stored; without repeated ones, a frozen pose is a gap.
+            frozen_s: The shortest repeats.
         """
         self.clock = StampSteps()
         self.repeats: list[Repeats] = []  # of at least `frozen_s`, or not over
-        self._frozen_s = frozen_s
+        self.frozen_s = frozen_s
         self.newest_s = -math.inf  # repeated poses included
-        self._oriented, self._keeps_parts = oriented, keeps_parts
-        self._of_pose = of_pose
+        self._oriented, self._parts, self._stored = oriented, parts, stored
         self._has_rotated = False
         self.first: Floats = np.zeros(7)  # the first pose
         self._last: Floats | None = None  # the newest pose, also if it is repeated
@@ -121,16 +127,15 @@ class SidePoses:
         # A sensor without orientation may write the identity.
         rotated = np.logical_or.accumulate(~stands) | self._has_rotated
         self._has_rotated = bool(rotated[-1])
-        if self._of_pose:
-            self._repeat("pose", self.newest_s, stamps, held & stands)
-        else:
-            stands &= rotated
-            self._repeat("position", self.newest_s, stamps, held)
-            self._repeat("rotation", self.newest_s, stamps, stands)
+        repeated = {POSE: held & stands, POSITION: held, ROTATION: stands & rotated}
+        for part in self._parts:
+            self._repeat(part, self.newest_s, stamps, repeated[part])
         self.newest_s, self._last = float(stamps[-1]), rows[-1]
-        moved = ~(held & (stands | ~rotated) if self._keeps_parts else held | stands)
-        if not (self._of_pose or moved.all()):
-            stamps, rows = stamps[moved], rows[moved]
+        dropped = repeated[POSE]
+        if self._stored == BOTH_DIFFER:
+            dropped = held | repeated[ROTATION]
+        if self._stored != ALL and dropped.any():
+            stamps, rows = stamps[~dropped], rows[~dropped]
         self._append(stamps, rows)
 
     def at(self, times: Floats, longest_s: float = math.inf) -> tuple[Floats, Booleans]:
@@ -219,7 +224,7 @@ class SidePoses:
             if not is_same[begin]:
                 if interval is not None:
                     interval.is_over = True
-                    if interval.end_s - interval.begin_s < self._frozen_s:
+                    if interval.end_s - interval.begin_s < self.frozen_s:
                         self.repeats.remove(interval)
                 interval = None
                 continue

@@ -50,7 +50,7 @@ def discontinuities(
     return search.finish()
 
 
-def own_discontinuities(trajectory: Trajectory, side: str) -> list[Event]:
+def stream_discontinuities(trajectory: Trajectory, side: str) -> list[Event]:
     """Return the events of one recorded trajectory alone, as a live run finds them, by time.
 
     If it has receive times, its states are taken in that order; else in the given one.

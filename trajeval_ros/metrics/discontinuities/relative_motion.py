@@ -108,21 +108,21 @@ class RelativeMotion:
         if not self.oriented:
             m = lengths_m if rotation is None else _length(d - e @ rotation.T)
             return Difference(m, np.zeros_like(m), moved_m, lengths_m)
-        turned, own_turned = _rotations(begin, end)
+        rotated, rotated_estimate = _rotations(begin, end)
         if rotation is None:
-            deg = np.degrees(np.abs(lie.angle(turned) - lie.angle(own_turned)))
+            deg = np.degrees(np.abs(lie.angle(rotated) - lie.angle(rotated_estimate)))
             return Difference(lengths_m, deg, moved_m, lengths_m)
-        back = lie.conjugate(turned)
-        own_turned[..., :3] = own_turned[..., :3] @ rotation.T
-        deg = np.degrees(lie.angle(lie.multiply(back, own_turned)))
+        back = lie.conjugate(rotated)
+        rotated_estimate[..., :3] = rotated_estimate[..., :3] @ rotation.T
+        deg = np.degrees(lie.angle(lie.multiply(back, rotated_estimate)))
         # In the body at the begin and at the end: an orientation that is wrong is at one of them.
-        levers = lie.rotate(turned, self.lever_m), lie.rotate(back, self.lever_m)
+        levers = lie.rotate(rotated, self.lever_m), lie.rotate(back, self.lever_m)
         arms = levers[0] - self.lever_m, self.lever_m - levers[1]
         m = np.full(moved_m.shape, np.inf)
         for pairs, arm in zip((begin, end), arms, strict=True):
             inside = lie.rotate(lie.conjugate(pairs[..., GROUNDTRUTH_QUATERNION]), d)
-            own = lie.rotate(lie.conjugate(pairs[..., QUATERNION]), e)
-            m = np.minimum(m, _length(inside - own @ rotation.T - arm))
+            estimated = lie.rotate(lie.conjugate(pairs[..., QUATERNION]), e)
+            m = np.minimum(m, _length(inside - estimated @ rotation.T - arm))
         return Difference(m, deg, moved_m, lengths_m)
 
     def size(self, begin: Floats, end: Floats) -> Size:
@@ -136,11 +136,11 @@ class RelativeMotion:
         """
         d = end[:, GROUNDTRUTH_POSITION] - begin[:, GROUNDTRUTH_POSITION]
         e = end[:, POSITION] - begin[:, POSITION]
-        moved_m, own = _length(d), _length(e)
+        moved_m, estimate_m = _length(d), _length(e)
         if self._fits > _LEAST_FITS:
-            usable = self.scale * own <= _OUTLIER * np.maximum(moved_m, _OUTLIER_M)
+            usable = self.scale * estimate_m <= _OUTLIER * np.maximum(moved_m, _OUTLIER_M)
             begin, end, d, e = begin[usable], end[usable], d[usable], e[usable]
-            moved_m, own = moved_m[usable], own[usable]
+            moved_m, estimate_m = moved_m[usable], estimate_m[usable]
         if not len(d):
             return False
         # What is left of every motion at the last one; a hover keeps the fit.
@@ -149,20 +149,20 @@ class RelativeMotion:
         x, y = d, self.scale * e
         added = np.zeros((3, 3))
         if self.oriented:
-            turned, own_turned = _rotations(begin, end)
+            rotated, rotated_estimate = _rotations(begin, end)
             x = lie.rotate(lie.conjugate(begin[:, GROUNDTRUTH_QUATERNION]), x)
             y = lie.rotate(lie.conjugate(begin[:, QUATERNION]), y)
-            vectors = lie.rotation_vector(turned), lie.rotation_vector(own_turned)
+            vectors = lie.rotation_vector(rotated), lie.rotation_vector(rotated_estimate)
             added = (weights * vectors[0]).T @ vectors[1]
             if self.rotation is not None:
-                matrices = lie.to_matrix(turned) - np.eye(3)
+                matrices = lie.to_matrix(rotated) - np.eye(3)
                 stacked = (np.sqrt(weights)[:, :, None] * matrices).reshape(-1, 3)
                 rest = (np.sqrt(weights) * (x - y @ self.rotation.T)).reshape(-1)
                 self._lever_matrix = kept * self._lever_matrix + stacked.T @ stacked
                 self._lever_vector = kept * self._lever_vector + stacked.T @ rest
         self.products = kept * self.products + (weights * x).T @ y + added
-        self._lengths = kept * self._lengths + float(weights[:, 0] @ (moved_m * own))
-        self._squares = kept * self._squares + float(weights[:, 0] @ (own * own))
+        self._lengths = kept * self._lengths + float(weights[:, 0] @ (moved_m * estimate_m))
+        self._squares = kept * self._squares + float(weights[:, 0] @ (estimate_m * estimate_m))
         self._path_m, self._fits = self._path_m + float(moved_m.sum()), self._fits + len(d)
         if self._fits < _LEAST_FITS or self._path_m <= _LEAST_PATH_M or not self._squares > 0.0:
             return False
@@ -181,9 +181,9 @@ class RelativeMotion:
 def rotation_beyond(motion: RelativeMotion, begin: Floats, end: Floats) -> Floats:
     """Return the matrix (3, 3) of what the groundtruth's body did not rotate as the estimate's."""
     assert motion.rotation is not None
-    turned, own_turned = _rotations(begin, end)
-    own_turned[:3] = motion.rotation @ own_turned[:3]
-    return lie.to_matrix(lie.multiply(lie.conjugate(own_turned), turned))
+    rotated, rotated_estimate = _rotations(begin, end)
+    rotated_estimate[:3] = motion.rotation @ rotated_estimate[:3]
+    return lie.to_matrix(lie.multiply(lie.conjugate(rotated_estimate), rotated))
 
 
 def _rotations(begin: Floats, end: Floats) -> list[Floats]:

@@ -13,6 +13,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.discontinuities.open_step import GAP
 from trajeval_ros.metrics.discontinuities.stamp_steps import SMALLEST_S
 from trajeval_ros.metrics.discontinuities.usual_differences import LEAST_DEG, LEAST_M
 from trajeval_ros.metrics.statistics import median
@@ -22,7 +23,6 @@ _BLOCK = 240  # pairs with a common median: as many as the search remembers
 # Multiple of the median: fewer than the 6 of the search, since the alignment of all pairs is less
 # exact than the search's own.
 _OF_MEDIAN = 4.0
-_GAP = 2.5  # multiple of the usual step from which differences grow with the root of the time
 
 
 def may_have_events(
@@ -67,10 +67,13 @@ def _has_repeats(positions: Floats) -> bool:
 
 
 def _roots_of_steps(stamps: Stamps) -> Floats:
-    """Return the roots of the steps (N - 1,) over the usual step, 1 for steps without a gap."""
+    """Return the roots of the steps (N - 1,) over the usual step, 1 for steps without a gap.
+
+    Differences grow with the root of the time.
+    """
     steps = np.diff(stamps).astype(np.float64)
     ratios = steps / max(median(steps), 1.0)
-    return np.sqrt(np.where(ratios > _GAP, ratios, 1.0))
+    return np.sqrt(np.where(ratios > GAP, ratios, 1.0))
 
 
 def _is_unusual(changes: Floats, roots: Floats, least: float) -> bool:

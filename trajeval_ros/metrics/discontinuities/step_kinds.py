@@ -8,7 +8,7 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.discontinuities.events import CORRECTION, ESTIMATE, RESTART, STEP
 from trajeval_ros.metrics.discontinuities.exoneration import SideVerdict
 from trajeval_ros.metrics.discontinuities.motion_history import MotionHistory
-from trajeval_ros.metrics.discontinuities.open_step import OpenStep
+from trajeval_ros.metrics.discontinuities.open_step import PairStep
 from trajeval_ros.metrics.discontinuities.relative_motion import (
     GROUNDTRUTH_POSITION,
     POSITION,
@@ -60,7 +60,7 @@ def is_at_origin(
 
 
 def rotates_body(
-    motion: RelativeMotion, usual: UsualDifferences, step: OpenStep, row: int
+    motion: RelativeMotion, usual: UsualDifferences, step: PairStep, row: int
 ) -> bool | None:
     """Rotate the learned body after a flip that stays, if later motions agree with it better.
 

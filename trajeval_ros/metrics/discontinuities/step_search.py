@@ -16,13 +16,25 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities import events as kinds
 from trajeval_ros.metrics.discontinuities.events import SIDES, UNDECIDED, Event
-from trajeval_ros.metrics.discontinuities.exoneration import SideVerdict, guilty_side
+from trajeval_ros.metrics.discontinuities.exoneration import (
+    EXONERATES,
+    SideVerdict,
+    guilty_side,
+)
 from trajeval_ros.metrics.discontinuities.motion_history import MotionHistory
 from trajeval_ros.metrics.discontinuities.open_step import (
-    OpenStep,
+    FLIP_DEG,
+    GAP,
+    LEAST_RATIO,
+    LEAST_RATIO_OF_OUTLIER,
+    MOST_STAYED,
+    RETURN_S,
+    PairStep,
     both_edges,
     by_parts,
+    calm_s,
     is_back,
+    is_flip,
     ratio_of,
 )
 from trajeval_ros.metrics.discontinuities.pairs import PairSource
@@ -38,18 +50,8 @@ from trajeval_ros.metrics.discontinuities.usual_differences import UsualDifferen
 
 _BURN_IN_S, _BURN_IN_PAIRS = 4.0, 12  # the first pairs are judged in retrospect
 _LEARN_S = 10.0  # time between updates of the limits of usual motion: a shorter one costs time
-# A step stays after this time and number of calm pairs: longer delays an alarm, shorter takes
-# an outlier for a step.
-_CALM_S, _CALM_PAIRS = 1.0, 5
+_CALM_PAIRS = 5  # after a step that stays
 _AFTER_GAP_S = 3.2  # motion after a gap that determines a clock step
-_GAP = 2.5  # periods: a longer step of timestamps is no usual motion
-_LOST_S, _LOST_PAIRS = 10.0, 5  # steps without a calm second
-# Smallest events, as multiples of the limit. Single poses of heavy-tailed noise exceed 1.5.
-_LEAST_RATIO, _LEAST_RATIO_OF_OUTLIER = 1.5, 2.5
-_RETURN_S = 60.0  # longest excursion whose return is known
-_FLIP_DEG = 60.0  # smallest rotation of a flip: corrections of a heading are smaller
-_FLIP_M = 0.3  # a marker that flips moves its centre less
-_SMOOTH = 0.34  # innovation as a fraction of a step, of a side whose position did not jump
 
 
 class StepSearch:
@@ -61,7 +63,7 @@ class StepSearch:
         motion: RelativeMotion,
         events: list[Event],
         nanoseconds: Callable[[float], int],
-        corrects_clock: Callable[[OpenStep, float], bool],
+        corrects_clock: Callable[[PairStep, float], bool],
     ) -> None:
         """Create it once the rates are known.
 
@@ -73,7 +75,7 @@ class StepSearch:
             corrects_clock: Corrects a clock step in the gap of a step if there is one, given the
                 usual difference, metres; the search then continues before the gap.
         """
-        self.open: OpenStep | None = None
+        self.open: PairStep | None = None
         self.previous: Floats | None = None  # the last judged pair (15,)
         self._source, self._motion, self._events = source, motion, events
         self._ns, self._corrects_clock = nanoseconds, corrects_clock
@@ -81,7 +83,7 @@ class StepSearch:
         self._burn_in: Floats | None = np.empty((0, PAIR_WIDTH))
         self._interval = 0  # number of the interval whose pairs have the same limits
         # Steps that may return: begin, end, event, and the body's rotation before them.
-        self._stayed: deque[tuple[Floats, Floats, Event, BodyState]] = deque(maxlen=8)
+        self._stayed: deque[tuple[Floats, Floats, Event, BodyState]] = deque(maxlen=MOST_STAYED)
 
     def take(self, pairs: Floats) -> bool:
         """Take N pairs (N, 15); return whether a clock was corrected, to pair again.
@@ -106,7 +108,7 @@ class StepSearch:
             self._end_burn_in(pairs)
             self._judge(pairs)
         step = self.open
-        if step is not None and step.ratio >= _LEAST_RATIO_OF_OUTLIER:
+        if step is not None and step.ratio >= LEAST_RATIO_OF_OUTLIER:
             verdict = self._guilty(step.begin, step.after, step.size, (True, True))
             if verdict.side:
                 # The recording ends before it is known whether the step stays.
@@ -115,7 +117,7 @@ class StepSearch:
 
     def _end_burn_in(self, pairs: Floats) -> None:
         self._burn_in = None
-        calm = np.diff(pairs[:, 0]) < _GAP * self._source.period_s
+        calm = np.diff(pairs[:, 0]) < GAP * self._source.period_s
         difference = self._motion.between(pairs[:-1][calm], pairs[1:][calm])
         self._usual.add(0, difference.m, difference.deg)
         self._history.begin_at(pairs[0], is_learned=False)
@@ -147,7 +149,7 @@ class StepSearch:
         unusual = (difference.m > limit_m) | (difference.deg > limit_deg)
         row = int(unusual.argmax()) if unusual.any() else count
         if row:
-            calm = np.flatnonzero(seconds[:row] < _GAP * self._source.period_s)
+            calm = np.flatnonzero(seconds[:row] < GAP * self._source.period_s)
             steps = Difference(*(values[calm] for values in difference))
             self._history.add_calm(begin[calm], end[calm], steps)
             self._good(end[:row])
@@ -157,12 +159,10 @@ class StepSearch:
             return pairs[row:]  # judge it again by all pairs before it
         self.previous = end[row]
         size, limits = difference.size(row), (float(limit_m[row]), float(limit_deg[row]))
-        apart_s, at_s = float(seconds[row]), float(end[row, 0])
-        step = [begin[row], end[row]]
-        self.open = OpenStep(begin[row], size, size, limits, apart_s, at_s, step)
+        self.open = PairStep(begin[row], end[row], size, limits)
         return pairs[row + 1 :]
 
-    def _follow(self, step: OpenStep, previous: Floats, pairs: Floats) -> tuple[Floats, bool]:
+    def _follow(self, step: PairStep, previous: Floats, pairs: Floats) -> tuple[Floats, bool]:
         """Take pairs until a step ends; return the pairs after it, and whether a clock stepped."""
         begin = np.concatenate([previous[None], pairs[:-1]])
         difference = self._motion.between(begin, pairs)
@@ -188,57 +188,55 @@ class StepSearch:
                     return pairs[:0], True
             elif self._is_calm(step, pair):
                 self._stay(step)
-            elif pair[0] - step.after[0] > _LOST_S and step.unusual > _LOST_PAIRS:
+            elif step.is_lost(float(pair[0] - step.after[0])):
                 self._lose(step, pair)
             if self.open is None:
                 return pairs[row + 1 :], False
         return pairs[:0], False
 
-    def _tests_clock(self, step: OpenStep, pair: Floats) -> bool:
+    def _tests_clock(self, step: PairStep, pair: Floats) -> bool:
         is_long = pair[0] - step.after[0] >= _AFTER_GAP_S
         return self._in_gap(step) and not step.clock_is_tested and is_long
 
-    def _is_calm(self, step: OpenStep, pair: Floats) -> bool:
-        calm_s = max(_CALM_S, 4.0 * self._source.period_s)
-        is_calm = len(step.pairs) >= _CALM_PAIRS + 2 and pair[0] - step.last_s >= calm_s
+    def _is_calm(self, step: PairStep, pair: Floats) -> bool:
+        lasted_s = pair[0] - step.last_s
+        is_calm = len(step.pairs) >= _CALM_PAIRS + 2 and lasted_s >= calm_s(self._source.period_s)
         return is_calm and (step.clock_is_tested or not self._in_gap(step))
 
-    def _in_gap(self, step: OpenStep) -> bool:
-        return step.gap_s > _GAP * min(self._periods)
+    def _in_gap(self, step: PairStep) -> bool:
+        return step.gap_s > GAP * min(self._periods)
 
     # Ends of steps
 
-    def _return(self, step: OpenStep, pair: Floats) -> None:
+    def _return(self, step: PairStep, pair: Floats) -> None:
         """Close a step after which the poses returned to the former path."""
         self.open = None
         last = step.pairs[-2] if len(step.pairs) > 2 else step.after
-        parts = by_m, by_deg = step.by_parts
-        out = self._guilty(step.begin, step.after, step.size, parts)
-        back = self._guilty(last, pair, self._motion.size(last, pair), parts)
+        out = self._guilty(step.begin, step.after, step.size, step.by_parts)
+        back = self._guilty(last, pair, self._motion.size(last, pair), step.by_parts)
         verdict = both_edges(out, back)
-        if verdict.side and step.ratio >= _LEAST_RATIO_OF_OUTLIER:
+        if verdict.side and step.ratio >= LEAST_RATIO_OF_OUTLIER:
             held = verdict.side in SIDES and self._moves_smoothly(verdict.side, step)
-            is_flip = by_deg and step.size.deg > _FLIP_DEG
-            is_flip &= not by_m or step.size.m < _FLIP_M or held
-            event = self._add(kinds.FLIP if is_flip else kinds.OUTLIER, verdict, step, pair)
+            flips = is_flip(step.parts, holds_position=held)
+            event = self._add(kinds.FLIP if flips else kinds.OUTLIER, verdict, step, pair)
             event.s, event.poses = float(last[0] - step.after[0]), len(step.pairs) - 2
         self._good(pair[None])
 
-    def _moves_smoothly(self, side: str, step: OpenStep) -> bool:
+    def _moves_smoothly(self, side: str, step: PairStep) -> bool:
         number = SIDES.index(side)
         innovation = self._source.innovation(number, step.begin[0], step.after[0])
         scale = self._motion.scale if number else 1.0
-        return scale * innovation.m < _SMOOTH * step.size.m
+        return scale * innovation.m < EXONERATES * step.size.m
 
-    def _stay(self, step: OpenStep) -> None:
+    def _stay(self, step: PairStep) -> None:
         """Close a step after a calm second."""
         self.open = None
         row = step.end_of_motion()
         begin, end = step.begin, step.pairs[row]
         size, limits = self._motion.size(begin, end), self._limits(begin, end)
         parts = by_m, by_deg = by_parts(size, limits)
-        ratio, first_ratio = ratio_of(size, limits), ratio_of(step.first, step.limits)
-        if ratio < _LEAST_RATIO and first_ratio > 2.0 * _LEAST_RATIO and row > 1:
+        ratio, first_ratio = ratio_of(size, limits), ratio_of(step.first_size, step.limits)
+        if ratio < LEAST_RATIO and first_ratio > 2.0 * LEAST_RATIO and row > 1:
             rest, step.pairs = step.pairs[row:], step.pairs[: row + 1]
             self._return(step, rest[0])  # in small steps
             if len(rest) > 1:
@@ -246,7 +244,7 @@ class StepSearch:
             return
         verdict = self._guilty(begin, end, size, parts)
         # If both sides move smoothly, it is a divergence and no discontinuity.
-        if ratio < _LEAST_RATIO or not verdict.side or self._ends_excursion(verdict, end):
+        if ratio < LEAST_RATIO or not verdict.side or self._ends_excursion(verdict, end):
             self._resume(step, row)
             return
         before = self._motion.state
@@ -254,7 +252,7 @@ class StepSearch:
         if by_deg and size.deg > 10.0:
             is_rotated = rotates_body(self._motion, self._usual, step, row)
         kind = kinds.STEP
-        if by_deg and size.deg > _FLIP_DEG and (is_rotated or (is_rotated is None and not by_m)):
+        if by_deg and size.deg > FLIP_DEG and (is_rotated or (is_rotated is None and not by_m)):
             kind = kinds.FLIP_STAYS
         elif verdict.side in (kinds.ESTIMATE, UNDECIDED):
             origin = self._source.streams[1].first[:3]
@@ -272,7 +270,7 @@ class StepSearch:
         """Return whether the poses return to the path before an earlier step that stayed."""
         for number, (begin, start, event, before) in reversed(list(enumerate(self._stayed))):
             sides = {event.side, verdict.side}
-            if end[0] - start[0] > _RETURN_S or (len(sides) > 1 and UNDECIDED not in sides):
+            if end[0] - start[0] > RETURN_S or (len(sides) > 1 and UNDECIDED not in sides):
                 continue
             flips = event.kind == kinds.FLIP_STAYS
             rotation = before[0] if flips else None
@@ -280,18 +278,18 @@ class StepSearch:
             size = Size(0.0 if flips else event.m, event.deg)
             is_known = not size.m or self._limits(begin, end)[0] < 2.0 * size.m
             if is_known and is_back(total, size):
-                is_flip = event.deg > _FLIP_DEG
-                event.kind = kinds.FLIP if is_flip else kinds.OUTLIER
+                was_flip = event.deg > FLIP_DEG
+                event.kind = kinds.FLIP if was_flip else kinds.OUTLIER
                 event.end_ns, event.s = self._ns(end[0]), float(end[0] - start[0])
                 event.poses = 0
                 event.side = verdict.side if event.side == UNDECIDED else event.side
-                if is_flip and before[0] is not None:
+                if was_flip and before[0] is not None:
                     self._motion.state = before
                 del self._stayed[number]
                 return True
         return False
 
-    def _lose(self, step: OpenStep, pair: Floats) -> None:
+    def _lose(self, step: PairStep, pair: Floats) -> None:
         """Close a step whose poses neither return nor calm down."""
         self.open = None
         verdict = self._guilty(step.begin, step.after, step.size, step.by_parts)
@@ -306,7 +304,7 @@ class StepSearch:
             self._add(kinds.LOST, verdict, step, pair).poses = step.unusual
         self._history.begin_at(pair, is_learned=False)
 
-    def _resume(self, step: OpenStep, row: int) -> None:
+    def _resume(self, step: PairStep, row: int) -> None:
         """Continue with the pairs after a step."""
         self._history.begin_at(step.pairs[row])
         if not self._motion.oriented:
@@ -336,15 +334,14 @@ class StepSearch:
         innovations = [self._source.innovation(side, begin[0], end[0]) for side in (0, 1)]
         return guilty_side(innovations, self._motion.scale, size, parts)
 
-    def _add(self, kind: str, verdict: SideVerdict, step: OpenStep, end: Floats) -> Event:
-        by_m, by_deg = step.by_parts
+    def _add(self, kind: str, verdict: SideVerdict, step: PairStep, end: Floats) -> Event:
         event = Event(
             kind,
             verdict.side,
             self._ns(step.begin[0]),
             self._ns(end[0]),
-            m=step.size.m if by_m else 0.0,
-            deg=step.size.deg if by_deg else 0.0,
+            m=step.parts.m,
+            deg=step.parts.deg,
             certainty=verdict.certainty,
             ratio=step.ratio,
             gap_s=verdict.gap_s,

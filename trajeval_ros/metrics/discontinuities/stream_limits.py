@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.metrics.discontinuities.own_motion import OwnMotions, own_motions
+from trajeval_ros.metrics.discontinuities.open_step import GAP
 from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import CELL_S
+from trajeval_ros.metrics.discontinuities.stream_motion import StreamMotions, stream_motions
 from trajeval_ros.metrics.discontinuities.usual_differences import (
     LAGS,
     LEAST_DEG,
@@ -15,19 +16,18 @@ from trajeval_ros.metrics.discontinuities.usual_differences import (
     UsualDifferences,
 )
 
-_GAP = 2.5  # periods: a longer step of timestamps is no usual motion
 _REST_MPS, _REST_DEGPS = 0.05, 3.0  # slower motion is not learned: it is smoother than any other
 # What a healthy robot changes of its velocity within a period, over the period, m/s^2 and deg/s^2:
 # larger values hide small steps of slow streams, smaller ones report brisk starts.
 _ACCELERATION, _ANGULAR_ACCELERATION = 10.0, 1000.0
 
 
-class OwnLimits:
+class StreamLimits:
     """Limits of the motions of one stream, from the usual ones of the last minutes."""
 
     def __init__(self, stream: SidePoses, period_s: float) -> None:
         """Create it once the usual time between poses is known."""
-        self.longest_s = _GAP * period_s  # of a step between poses without a gap
+        self.longest_s = GAP * period_s  # of a step between poses without a gap
         self.learned_until_s = self.part_s = float(stream.stamps[0])
         self._stream = stream
         self._usual = UsualDifferences(period_s)
@@ -41,7 +41,7 @@ class OwnLimits:
         m, deg = self._usual.limit(seconds)
         return np.maximum(m, self._least_m), np.maximum(deg, self._least_deg)
 
-    def keep(self, motions: OwnMotions, usual: Booleans) -> None:
+    def keep(self, motions: StreamMotions, usual: Booleans) -> None:
         """Keep the usual ones (N,) of N motions between successive poses, until `learn`."""
         kept = usual & (motions.seconds < self.longest_s) & _moves(motions)
         self._kept.append(np.column_stack([motions.m, motions.deg])[kept])
@@ -66,14 +66,14 @@ class OwnLimits:
         if not known.any():
             return
         numbers = 1 + np.flatnonzero(known) // len(marks)
-        motions = own_motions(stamps, poses, begins[known], ends[known], 0.0)
+        motions = stream_motions(stamps, poses, begins[known], ends[known], 0.0)
         moves = _moves(motions)
         for number in range(1, len(LAGS) + 1):
             rows = moves & (numbers == number)
             self._usual.add(number, motions.m[rows], motions.deg[rows])
 
 
-def _moves(motions: OwnMotions) -> Booleans:
+def _moves(motions: StreamMotions) -> Booleans:
     """Return which motions (N,) are no rest."""
     moves: Booleans = (motions.mps > _REST_MPS) | (motions.degps > _REST_DEGPS)
     return moves

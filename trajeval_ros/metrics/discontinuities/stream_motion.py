@@ -14,7 +14,7 @@ from trajeval_ros.metrics.discontinuities.relative_motion import Size
 _ALIASED_RAD = np.pi / 2.0  # rotation within one period whose direction is not certain
 
 
-class OwnMotions(NamedTuple):
+class StreamMotions(NamedTuple):
     """Motions between N pairs of rows, and how they differ from the motions around them."""
 
     begins: Indices
@@ -29,7 +29,7 @@ class OwnMotions(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class OwnMotion:
+class StreamMotion:
     """One unusual motion between successive poses."""
 
     begin_s: float
@@ -64,9 +64,9 @@ class _Velocities:
         return self.mps[steps], self.radps[steps], known
 
 
-def own_motions(
+def stream_motions(
     stamps: Floats, poses: Floats, begins: Indices, ends: Indices, longest_s: float
-) -> OwnMotions:
+) -> StreamMotions:
     """Return the motions between pairs of rows (N,), in ascending order of `ends`.
 
     A motion that takes more than `longest_s` may also be a rest.
@@ -95,22 +95,22 @@ def own_motions(
         deg = np.where(nearer, other_deg, deg)
         rotation = np.where(nearer[:, None], beyond, rotation)
     m, deg = (np.where(np.isfinite(values), values, 0.0) for values in (m, deg))
-    return OwnMotions(begins, ends, seconds, m, deg, step_m, rotation, mps, degps)
+    return StreamMotions(begins, ends, seconds, m, deg, step_m, rotation, mps, degps)
 
 
 def one_motion(
-    stamps: Floats, poses: Floats, motions: OwnMotions, number: int, longest_s: float
-) -> OwnMotion:
-    """Return one of N motions that have a pose after them; `longest_s` as for `own_motions`."""
+    stamps: Floats, poses: Floats, motions: StreamMotions, number: int, longest_s: float
+) -> StreamMotion:
+    """Return one of N motions that have a pose after them; `longest_s` as for `stream_motions`."""
     begin, end = int(motions.begins[number]), int(motions.ends[number])
     size = Size(float(motions.m[number]), float(motions.deg[number]))
     over = size
     if begin > 0:
         rows = np.array([begin]), np.array([end + 1])
-        both = own_motions(stamps[: end + 2], poses[: end + 2], *rows, np.inf)
+        both = stream_motions(stamps[: end + 2], poses[: end + 2], *rows, np.inf)
         over = Size(float(both.m[0]), float(both.deg[0]))
     begin_s, end_s, known_s = stamps[[begin, end, end + 1]].tolist()
-    return OwnMotion(
+    return StreamMotion(
         begin_s,
         end_s,
         known_s,
@@ -124,7 +124,7 @@ def one_motion(
     )
 
 
-def against_earlier(stamps: Floats, poses: Floats, motion: OwnMotion, row: int) -> OwnMotion:
+def against_earlier(stamps: Floats, poses: Floats, motion: StreamMotion, row: int) -> StreamMotion:
     """Return a motion against the one that ends at an earlier row, in place of those around it.
 
     Next to an unusual motion, a usual one seems unusual.
