@@ -156,6 +156,18 @@ def test_a_folder_of_text_files_is_evaluated(
     assert "groundtruth groundtruth.txt: by its name" in capsys.readouterr().err
 
 
+def test_runs_of_a_folder_are_not_mixed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in ("first", "second"):
+        bag(tmp_path / "all" / run, TRUTH, ("/vio/odometry", ODOM))
+    assert main([str(tmp_path / "all")]) == 2
+    commands = [shlex.split(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(commands) == 2
+    for _, _, _, groundtruth, _, estimate, *_ in commands:
+        assert groundtruth.rpartition(":")[0] == estimate.rpartition(":")[0]
+
+
 def test_options_of_one_system_are_not_proposed_for_others(tmp_path: Path) -> None:
     truth = TrajectorySummary("run:/mocap/pose", POSE, 10, could_be="groundtruth")
     system = recognised(ODOM, "/ov_msckf/odomimu", "global", "imu")

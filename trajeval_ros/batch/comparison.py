@@ -116,8 +116,8 @@ class _RunningComparison:
             key = "" if task is None or run in self.failures else task.key
             reason = self.failures.get(run, "")
             planned = self.planned_keys.get(run, "")
-            own, common = self.own_coverage.get(run), self.common_share.get(run, 1.0)
-            runs.append(FinishedRun(run, planned, key, reason, own, common))
+            coverage, common = self.own_coverage.get(run), self.common_share.get(run, 1.0)
+            runs.append(FinishedRun(run, planned, key, reason, coverage, common))
         return FinishedComparison(self.plan.title, self.plan.settings, runs)
 
     def evaluate(self, tasks: Iterable[Task]) -> None:

@@ -281,7 +281,7 @@ def _findings(
             name: [trial.coverage for trial in summary.of(name) if trial.status == OK]
             for name in summary.algorithms
         }
-        coverage = {name: fmean(found) for name, found in shares.items() if found}
+        coverage = {name: fmean(of_runs) for name, of_runs in shares.items() if of_runs}
         most = max(coverage, key=lambda name: coverage[name], default="")
         findings += [
             f"{name} covers {whole_percent(coverage[name])} of the groundtruth and {most} covers "

@@ -123,11 +123,11 @@ class ComparisonSummary:
 
     @cached_property
     def _by_place(self) -> dict[tuple[str, str | None], list[Trial]]:
-        found: dict[tuple[str, str | None], list[Trial]] = defaultdict(list)
+        trials: dict[tuple[str, str | None], list[Trial]] = defaultdict(list)
         for trial in self.trials:
-            found[trial.algorithm, trial.sequence].append(trial)
-            found[trial.algorithm, None].append(trial)
-        return found
+            trials[trial.algorithm, trial.sequence].append(trial)
+            trials[trial.algorithm, None].append(trial)
+        return trials
 
 
 def summary_of(folder: Path) -> ComparisonSummary:

@@ -47,10 +47,10 @@ def plan_of(
     path = Path(target)
     if path.is_dir() or is_manifest(str(target)):
         if path.is_dir():
-            title, found = path.resolve().name, runs_in_folder(path)
+            title, runs = path.resolve().name, runs_in_folder(path)
         else:
-            title, found = path.stem, runs_in_manifest(str(target), hosts | host_of(str(target)))
-        return _plan(title, found, settings)
+            title, runs = path.stem, runs_in_manifest(str(target), hosts | host_of(str(target)))
+        return _plan(title, runs, settings)
     if is_url(str(target)):
         raise InputError(
             f"{target} is not a manifest (.csv or .parquet); copy the file to this machine"
@@ -80,9 +80,9 @@ def plan_of_sources(sources: Sequence[str], settings: Mapping[str, Any]) -> Plan
     return _plan(sequence, runs, settings)
 
 
-def _plan(title: str, found: Iterable[PlannedRun], settings: Mapping[str, Any]) -> Plan:
+def _plan(title: str, runs: Iterable[PlannedRun], settings: Mapping[str, Any]) -> Plan:
     hints = SideHints.of(settings.get("columns"), settings.get("frame_rate"))
-    runs = tuple(dataclasses.replace(run, hints=hints) for run in found)
+    runs = tuple(dataclasses.replace(run, hints=hints) for run in runs)
     return Plan(title, runs, _request({}, settings), bool(settings.get("common_time_span")))
 
 
@@ -162,15 +162,15 @@ def _runs(
         if is_url(item.path):
             require_allowed(item.text, hosts, str(target))
     sequences = _names(config, "sequences", target)
-    found = groundtruth.find(folder)
-    groundtruth.require(found, folder)
-    groundtruths = {sequence: source for (sequence, _), source in found.items()}
+    sources = groundtruth.find(folder)
+    groundtruth.require(sources, folder)
+    groundtruths = {sequence: source for (sequence, _), source in sources.items()}
     estimates: dict[Name, str] = {}
     for algorithm, pattern in algorithms.items():
-        found = pattern.find(folder)
+        sources = pattern.find(folder)
         if not sequences:  # with a list of sequences, missing runs are reported as failed
-            pattern.require(found, folder)
-        estimates |= {(algorithm, *run): source for run, source in found.items()}
+            pattern.require(sources, folder)
+        estimates |= {(algorithm, *run): source for run, source in sources.items()}
     return all_runs(
         algorithms,
         estimates,

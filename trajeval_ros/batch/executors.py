@@ -82,7 +82,9 @@ def dask_pool(address: str) -> Pool:
         ) from error
     if not threads:
         raise InputError(f"the Dask scheduler at {address} has no workers; start workers")
-    other = [worker for worker, found in sources.items() if found != hash_of_numbers()]
+    other = [
+        worker for worker, hash_of_worker in sources.items() if hash_of_worker != hash_of_numbers()
+    ]
     if other:
         raise InputError(
             f"{other[0]} has a different version of trajeval-ros than this machine; install the "

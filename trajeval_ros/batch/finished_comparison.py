@@ -117,7 +117,7 @@ class FinishedComparison:
         def rows() -> Iterator[dict[str, Any]]:
             groups = groupby(self.runs, lambda item: (item.run.algorithm, item.run.sequence))
             for (algorithm, sequence), group in groups:
-                found = []
+                records = []
                 count = 0
                 for item in group:
                     count += 1
@@ -125,9 +125,9 @@ class FinishedComparison:
                         yield row_of_failure(item.run, item.reason)
                         continue
                     record = record_of(item)
-                    found.append(record)
+                    records.append(record)
                     yield from rows_of_run(item, record)
-                pooled.extend(pooled_rows(algorithm, sequence, count, found))
+                pooled.extend(pooled_rows(algorithm, sequence, count, records))
 
         state = self.state
         write_table(folder / RUNS, rows(), self.title, self.settings, state)
@@ -147,8 +147,8 @@ def require_own(folder: Path) -> None:
         *(RESULT, _ABOUT, RUNS, POOLED_FILE, REPORT, GATES, GATES_JSON),
         *("tables.md", "tables.tex", PAGES, FIGURES),
     )
-    found = (folder / name for name in names)
-    for path in (*found, *folder.glob("ate_*.csv"), *folder.glob("re_*.csv")):
+    paths = (folder / name for name in names)
+    for path in (*paths, *folder.glob("ate_*.csv"), *folder.glob("re_*.csv")):
         if path.exists() and not path.is_symlink():  # a link is replaced, its target is not
             raise InputError(
                 f"{path} is not from a comparison, which replaces it; choose another "
@@ -176,14 +176,14 @@ def rows_of_run(finished: FinishedRun, record: Record) -> Iterator[dict[str, Any
         association[f"groundtruth_{name}"] / (finished.common_share or 1.0)
         for name in ("coverage", "span")
     )
-    run, own = finished.run, finished.own_coverage
+    run, before = finished.run, finished.own_coverage
     same = {
         **_names(run),
         "status": OK,
         "pairs": association["pairs"],
         "estimate_coverage": association["estimate_coverage"],
         "groundtruth_coverage": coverage,
-        "own_groundtruth_coverage": coverage if own is None else own,
+        "own_groundtruth_coverage": coverage if before is None else before,
         "common_span": finished.common_share,
         "span_s": (record.span_ns[1] - record.span_ns[0]) / 1e9,
         "groundtruth_span": span,
@@ -233,7 +233,7 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
     rotation, lever = hand_eye.get("rotation") or {}, hand_eye.get("lever_arm") or {}
     joint, per_pose = (consistency.get(name) or {} for name in ("joint", "per_pose"))
     ate = probabilistic.get("ate") or {}
-    found = (
+    values = (
         (CALIBRATION, "time_offset_s", offset.get("value_s") if offset.get("applied") else None,
          offset.get("sigma_s")),
         (CALIBRATION, "rotation_deg", rotation.get("angle_deg") if rotation.get("applied") else
@@ -250,14 +250,14 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
         (LIKELIHOOD, "supported_m", ate.get("supported_m"), None),
         (LIKELIHOOD, "supported_share", ate.get("supported_share"), None),
     )  # fmt: skip
-    for kind, metric, value, sigma in found:
+    for kind, metric, value, sigma in values:
         if value is not None:
             yield {**same, "kind": kind, "metric": metric, "mean": value, "std": sigma}
 
 
-def _integrity(found: dict[str, Any]) -> Iterator[tuple[str, str, float, None]]:
+def _integrity(values: dict[str, Any]) -> Iterator[tuple[str, str, float, None]]:
     """Yield kind, metric and value of the integrity, by part of the pose."""
-    for part in found.get("parts", ()):
+    for part in values.get("parts", ()):
         name = part["part"]
         yield INTEGRITY, f"{name}_hazardous", part["areas"]["hazardous"], None
         yield INTEGRITY, f"{name}_available", part["availability"], None

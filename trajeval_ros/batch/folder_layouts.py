@@ -82,12 +82,12 @@ def _rpg(experiments: list[Path]) -> tuple[PlannedRun, ...]:
     algorithms: dict[str, None] = {}
     having: set[str] = set()
     for path, (platform, algorithm, sequence) in zip(experiments, places, strict=True):
-        found = [(match, file) for file in sorted(path.iterdir())
+        matches = [(match, file) for file in sorted(path.iterdir())
                  if (match := _ESTIMATE.fullmatch(file.name))]  # fmt: skip
         whose = " ".join(filter(None, (platform if several_platforms else "", algorithm)))
-        if not found:
+        if not matches:
             without[whose, sequence] = str(path / _GROUNDTRUTH)
-        for match, file in found:
+        for match, file in matches:
             name = " ".join(filter(None, (whose, _KINDS.get(match[1], match[1]))))
             _add(estimates, (name, sequence, match[2]), file)
             groundtruths[name, sequence] = str(path / _GROUNDTRUTH)
@@ -122,9 +122,9 @@ def _time_span(path: Path) -> TimeSpan | None:
     """Return the time span in the file of an experiment; None without a file."""
     if not path.exists():
         return None
-    found = read_mapping(path, "start and end of an experiment")
+    bounds = read_mapping(path, "start and end of an experiment")
     start, end = (
-        None if (value := found.get(f"{key}_time_sec")) is None else f"@{value}"
+        None if (value := bounds.get(f"{key}_time_sec")) is None else f"@{value}"
         for key in ("start", "end")
     )
     try:
@@ -147,8 +147,8 @@ def _texts(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix in _ENDINGS)
 
 
-def _add(found: dict[str, str] | dict[Name, str], key: str | Name, path: Path) -> None:
-    known: dict[str | Name, str] = found  # type: ignore[assignment]
+def _add(files: dict[str, str] | dict[Name, str], key: str | Name, path: Path) -> None:
+    known: dict[str | Name, str] = files  # type: ignore[assignment]
     if key in known:
         raise InputError(f"two files for the same run: {known[key]} and {path}; remove one")
     known[key] = str(path)

@@ -166,8 +166,8 @@ class GateValues:
     @property
     def failed(self) -> dict[Group, list[bool]]:
         """Whether runs failed or are missing, by algorithm and sequence."""
-        found = self._by_trial(lambda row: row["status"] != OK)
-        return {group: list(runs.values()) for group, runs in found.items()}
+        failures = self._by_trial(lambda row: row["status"] != OK)
+        return {group: list(runs.values()) for group, runs in failures.items()}
 
     def trials(self, path: str, baseline: GateValues) -> dict[Group, GateTrials]:
         """Return the trials of a number by algorithm and sequence; identical runs count once."""
@@ -182,12 +182,12 @@ class GateValues:
         names = ("algorithm", "sequence", "trial", column)
         for row in self._table.rows(names, status=OK, **rows):
             if row[column] is not None:
-                own = runs[row["algorithm"], row["sequence"]]
-                own[row["trial"]] = own[row["trial"]][0], row[column]
+                trials = runs[row["algorithm"], row["sequence"]]
+                trials[row["trial"]] = trials[row["trial"]][0], row[column]
         reasons = self._by_trial(lambda row: row["status"] != OK and row["reason"])
         return {
-            group: GateTrials(own, *list(filter(None, reasons[group].values()))[:1])
-            for group, own in runs.items()
+            group: GateTrials(trials, *list(filter(None, reasons[group].values()))[:1])
+            for group, trials in runs.items()
         }
 
     def find(self, path: str) -> tuple[dict[str, Sequence[str | None]], str]:
@@ -204,11 +204,13 @@ class GateValues:
             require_one_of(length, [*dict.fromkeys(lengths), "pooled"], what)
             kind, length = (POOLED, None) if length == "pooled" else (RE, length)
         metric, column = rest if len(rest) == 2 else (rest[0] if rest else "", "")
-        own = [row for row in self._numbers if row["kind"] == kind and _key(row) == length]
-        metrics = dict.fromkeys(row["metric"] for row in own if row["metric"])
+        rows_of_kind = [
+            row for row in self._numbers if row["kind"] == kind and _key(row) == length
+        ]
+        metrics = dict.fromkeys(row["metric"] for row in rows_of_kind if row["metric"])
         require_one_of(metric, metrics, what)
         require_one_of(column, STATISTICS, what)
-        written = list(dict.fromkeys(row["length"] for row in own))
+        written = list(dict.fromkeys(row["length"] for row in rows_of_kind))
         return {"kind": [kind], "metric": [metric], "length": written}, column
 
 
@@ -232,7 +234,11 @@ def require_same_settings(
 def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
     """Return remarks on other differences: of the groundtruth, and of the common time span."""
     before = baseline.groundtruths
-    changed = [group for group, own in before.items() if now.groundtruths.get(group, own) != own]
+    changed = [
+        group
+        for group, sources in before.items()
+        if now.groundtruths.get(group, sources) != sources
+    ]
     sequences = {"groundtruth": [sequence for _, sequence in changed]}
     if now.settings.get("common_time_span"):  # which other algorithms and trials shorten
         sequences["common time span"] = [

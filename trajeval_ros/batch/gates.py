@@ -94,8 +94,8 @@ class GateVerdict:
         """`worse` or `lost` if a number or all together are; else `no worse` or `undecided`."""
         words = [number.verdict for number in self.numbers]
         together = words if self.pooled is None else [self.pooled.verdict]
-        found = {*together, *words} & {WORSE, LOST} or {*together} & {NO_WORSE}
-        return WORSE if WORSE in found else found.pop() if found else UNDECIDED
+        verdicts = {*together, *words} & {WORSE, LOST} or {*together} & {NO_WORSE}
+        return WORSE if WORSE in verdicts else verdicts.pop() if verdicts else UNDECIDED
 
     def why_it_cannot_fail(self, false_alarms: float) -> str:
         """Return why no error, however large, gives the verdict `worse`, and what does; or ""."""
@@ -135,9 +135,9 @@ class Judgement:
     def verdict(self) -> str:
         """`worse`, `lost` or `more failures`; else `no worse` (all gates) or `undecided`."""
         words = {gate.verdict for gate in self.gates}
-        found = words | {self.failures.verdict}
+        verdicts = words | {self.failures.verdict}
         good = NO_WORSE if words == {NO_WORSE} else UNDECIDED
-        return next((word for word in (WORSE, LOST, MORE_FAILURES) if word in found), good)
+        return next((word for word in (WORSE, LOST, MORE_FAILURES) if word in verdicts), good)
 
     @property
     def fails(self) -> bool:
@@ -220,7 +220,7 @@ def _tested(
     groups = list(dict.fromkeys(item.group for every in verdicts for item in every.undecided))
     samples = []
     for group in groups:
-        both = [own[group] for own in sides]
+        both = [side[group] for side in sides]
         z = [item.gate.logarithms([*old.values, *new.values])
              for item, (old, new) in zip(verdicts, both, strict=True)]  # fmt: skip
         old, new = np.split(np.column_stack(z), [len(both[0][0].values)])
@@ -244,14 +244,14 @@ def _tested(
         )
         numbers = {item.group: item for item in verdict.numbers}
         for number in verdict.undecided:
-            place, found = groups.index(number.group), together
+            place, verdict_of_group = groups.index(number.group), together
             if len(sizes) > 1 and not test.asks[place]:
-                found = {"verdict": NOT_ALONE}
+                verdict_of_group = {"verdict": NOT_ALONE}
             elif len(sizes) > 1:
                 tests = [(side.alone[place, k], side.level_alone)
                          for side in (test.worse, test.better)]  # fmt: skip
-                found = _found(gate, alone[place, k], tests)
-            numbers[number.group] = replace(number, **found)
+                verdict_of_group = _found(gate, alone[place, k], tests)
+            numbers[number.group] = replace(number, **verdict_of_group)
         yield replace(verdict, numbers=tuple(numbers.values()), pooled=pooled)
 
 

@@ -69,9 +69,11 @@ def _gate_json(verdict: GateVerdict) -> dict[str, Any]:
     for number in verdict.numbers:
         both = zip(("before", "now"), number.medians, number.trials, strict=True)
         sides = {side: {"median": _finite(median), "trials": size} for side, median, size in both}
-        own = _parts(number, "verdict", "reason", "change", "noticeable", "p", "level")
+        numbers_of_group = _parts(
+            number, "verdict", "reason", "change", "noticeable", "p", "level"
+        )
         algorithm, sequence = number.group
-        numbers.append({"algorithm": algorithm, "sequence": sequence, **sides, **own})
+        numbers.append({"algorithm": algorithm, "sequence": sequence, **sides, **numbers_of_group})
     return made
 
 

@@ -69,22 +69,22 @@ class Pattern:
 
         `folder`: start of relative paths.
         """
-        found: dict[tuple[str, str], str] = {}
+        sources: dict[tuple[str, str], str] = {}
         for match, path in _existing(folder, self.path):
             named = {SEQUENCE: match[SEQUENCE], TRIAL: match[TRIAL] if self.has_trials else ""}
             run = (named[SEQUENCE], named[TRIAL])
-            if run in found:
+            if run in sources:
                 which = " ".join(filter(None, run))
                 raise InputError(
-                    f"two files are {which} of {self.text!r}: {split_topic(found[run])[0]} and "
+                    f"two files are {which} of {self.text!r}: {split_topic(sources[run])[0]} and "
                     f"{path}; make the pattern unique"
                 )
-            found[run] = path + _filled(self.topic, *run)
-        return found
+            sources[run] = path + _filled(self.topic, *run)
+        return sources
 
-    def require(self, found: dict[tuple[str, str], str], folder: Path) -> None:
+    def require(self, sources: dict[tuple[str, str], str], folder: Path) -> None:
         """Check that a pattern matches a file."""
-        if not found:
+        if not sources:
             raise InputError(
                 f"no file matches the pattern {self.text!r}{_how_far(folder, self.path)}"
             )
@@ -131,10 +131,10 @@ def _existing_at(url: str) -> list[tuple[re.Match[str], str]]:
     """Return the same as `_existing` for a pattern in a remote store."""
     with open_store(url) as (files, pattern):
         expression = re.compile(_expression(pattern))
-        found = sorted(files.glob("*".join(_fixed_parts(pattern))))
+        paths = sorted(files.glob("*".join(_fixed_parts(pattern))))
         return [
             (match, files.unstrip_protocol(path))
-            for path in found
+            for path in paths
             if (match := expression.fullmatch(path))
         ]
 

@@ -171,7 +171,7 @@ class PermutationTest:
         pairs = list(zip(samples, self._scores, strict=True))
         errors = np.array([item.error((scores**2).sum(0)) for item, scores in pairs])
         columns = zip(errors.T, self._judged.T, strict=True)
-        self._typical = np.maximum([np.median(error[own]) for error, own in columns], _TIE)
+        self._typical = np.maximum([np.median(error[judged]) for error, judged in columns], _TIE)
         self._weights = self._judged / (errors + self._typical)
         t, largest, smallest = np.zeros(errors.shape), np.array(-np.inf), np.array(np.inf)
         sums, units = np.zeros((2, 1, 1))
@@ -286,7 +286,9 @@ class _Worse:
 def _weighted(runs: Sequence[_Worse], x: float) -> Floats:
     """Return the statistic of all sequences together, (relabellings, actual)."""
     differences, squares = zip(*(run.at(x) for run in runs), strict=True)
-    errors = np.array([run.sample.error(own) for run, own in zip(runs, squares, strict=True)])
+    errors = np.array(
+        [run.sample.error(square) for run, square in zip(runs, squares, strict=True)]
+    )
     weights = 1.0 / (errors + np.maximum(np.median(errors, axis=0), _TIE))
     return reduce(np.add, map(np.multiply, differences, weights))
 
@@ -305,8 +307,8 @@ def _least(
 
     def is_detected(x: float) -> bool:
         made = statistic(x)
-        own = made[actual, np.arange(len(actual))]
-        p = (np.maximum(made, others) >= own - _TIE * (1.0 + np.abs(own))).mean(0)
+        reached = made[actual, np.arange(len(actual))]
+        p = (np.maximum(made, others) >= reached - _TIE * (1.0 + np.abs(reached))).mean(0)
         return bool((p <= level).mean() >= POWER)
 
     low, high = 0.0, step
@@ -325,7 +327,7 @@ def more_failures(before: Sequence[Booleans], now: Sequence[Booleans]) -> float:
     sides = zip(before, now, strict=True)
     samples = [Sample(*(item[:, None].astype(np.float64) for item in side)) for side in sides]
     labels = relabellings(samples, MOST)
-    sums = sum(own @ sample.scores[:, 0] for own, sample in zip(labels, samples, strict=True))
+    sums = sum(label @ sample.scores[:, 0] for label, sample in zip(labels, samples, strict=True))
     return float(p_values(np.asarray(sums), np.asarray(sums)[:1])[0])
 
 

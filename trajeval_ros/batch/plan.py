@@ -83,8 +83,8 @@ def all_runs(
         names = natural(sequences)
     runs = []
     for algorithm in algorithms:
-        own = {trial for item, _, trial in estimates if item == algorithm}
-        expected = natural(trials) if trials and own != {""} else natural(own) or [""]
+        known = {trial for item, _, trial in estimates if item == algorithm}
+        expected = natural(trials) if trials and known != {""} else natural(known) or [""]
         for sequence in names:
             groundtruth = groundtruths(algorithm, sequence)
             for trial in expected:

@@ -204,7 +204,7 @@ def _median_records(
     summary: ComparisonSummary, records: RecordStore, sequence: str
 ) -> dict[int, tuple[str, Record]]:
     """Return name and record of the trial with the median error, by index of the algorithm."""
-    found = {}
+    medians = {}
     for place, algorithm in enumerate(summary.algorithms[:MOST_ALGORITHMS]):
         trials = [item for item in summary.of(algorithm, sequence) if "position_m" in item.rmse]
         if not trials:
@@ -213,5 +213,5 @@ def _median_records(
         trial = trials[(len(trials) - 1) // 2]
         if (record := records.read(trial.key, with_pooled=False)) is not None:
             which = f", trial {trial.trial}" if trial.trial else ""
-            found[place] = (f"{algorithm}{which}", record)
-    return found
+            medians[place] = (f"{algorithm}{which}", record)
+    return medians

@@ -114,16 +114,16 @@ def decode(head: EntryHead, drawn: bytes, pooled: bytes | None) -> Record | None
         return None
     try:
         text, _, values = drawn.partition(_END_OF_HEAD)
-        said = mapping_in(text)
-        if said is None or said["schema"] != SCHEMA:
+        content = mapping_in(text)
+        if content is None or content["schema"] != SCHEMA:
             return None
-        columns = _columns(values, said["drawn"])
+        columns = _columns(values, content["drawn"])
         if pooled is not None:
-            columns |= _columns(pooled, said["pooled"])
-        span_ns = tuple(map(int, said["span_ns"]))
-        if len(span_ns) != 2 or not isinstance(said["result"]["runs"][0], dict):
+            columns |= _columns(pooled, content["pooled"])
+        span_ns = tuple(map(int, content["span_ns"]))
+        if len(span_ns) != 2 or not isinstance(content["result"]["runs"][0], dict):
             return None
-        return Record(head.key, said["result"], tuple(said["lengths"]), span_ns, columns)
+        return Record(head.key, content["result"], tuple(content["lengths"]), span_ns, columns)
     except (ValueError, LookupError, TypeError, AttributeError, OverflowError):
         return None
 

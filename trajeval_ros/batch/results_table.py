@@ -132,12 +132,12 @@ class ResultsTable:
             raise self._damaged() from error
         self._schema = self._file.schema_arrow
         metadata = self._schema.metadata or {}
-        found = metadata.get(b"trajeval.schema", b"").decode(errors="replace")
+        schema = metadata.get(b"trajeval.schema", b"").decode(errors="replace")
         what, advice = (
             "table of trajeval compare",
             "give the runs.parquet of another output folder",
         )
-        require_schema(path, found, SCHEMA, what, advice)
+        require_schema(path, schema, SCHEMA, what, advice)
         settings: Any = None
         with contextlib.suppress(ValueError):
             settings = json.loads(metadata.get(b"trajeval.settings", b""))
@@ -171,16 +171,16 @@ class ResultsTable:
         texts = arrow_array(
             self._arrow, np.array([value for value in values if value is not None], dtype=str)
         )
-        found = self._compute.is_in(column, texts)
-        return self._compute.or_(found, column.is_null()) if None in values else found
+        rows_found = self._compute.is_in(column, texts)
+        return self._compute.or_(rows_found, column.is_null()) if None in values else rows_found
 
     def distinct(self, columns: Iterable[str]) -> list[dict[str, Any]]:
         """Return the distinct values of some columns, in order of first occurrence."""
         names = list(columns)
-        found: dict[tuple[Any, ...], None] = {}
+        rows_found: dict[tuple[Any, ...], None] = {}
         for rows in self._groups(names):
-            found.update(dict.fromkeys(zip(*rows.to_pydict().values(), strict=True)))
-        return [dict(zip(names, values, strict=True)) for values in found]
+            rows_found.update(dict.fromkeys(zip(*rows.to_pydict().values(), strict=True)))
+        return [dict(zip(names, values, strict=True)) for values in rows_found]
 
     def _groups(self, names: Sequence[str]) -> Iterator[pyarrow.Table]:
         """Yield columns, one group of rows after another."""

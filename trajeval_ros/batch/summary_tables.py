@@ -178,8 +178,8 @@ def _with_ranks_by_ate(
         ]
         ates = [median(item) if item else None for item in known]
         ranks = zip(_ranks([item.value for item in cells]), _ranks(ates), strict=True)
-        for place, (cell, (own, by_ate)) in enumerate(zip(cells, ranks, strict=True)):
-            note = f"ATE: {by_ate}" if own and by_ate and own != by_ate else ""
+        for place, (cell, (rank, by_ate)) in enumerate(zip(cells, ranks, strict=True)):
+            note = f"ATE: {by_ate}" if rank and by_ate and rank != by_ate else ""
             marked[place].append(replace(cell, note=f"{note} {cell.note}".strip()))
     return [(row[0], tuple(cells)) for row, cells in zip(rows, marked, strict=True)]
 
@@ -398,16 +398,16 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
 
 def _unranked(rows: Sequence[tuple[str, Sequence[Cell]]], headings: Sequence[str]) -> str:
     """Return a sentence with the numbers that are not ranked, and why; "" if all are."""
-    found: dict[tuple[str, str], list[str]] = defaultdict(list)
+    unranked: dict[tuple[str, str], list[str]] = defaultdict(list)
     for name, cells in rows:
         for cell, heading in zip(cells, headings, strict=True):
             if cell.why_unranked and cell.value is not None:
-                found[name, cell.why_unranked].append(heading)
-    if not found:
+                unranked[name, cell.why_unranked].append(heading)
+    if not unranked:
         return ""
     named = [
         name + (f" on {and_more(where)}" if len(where) < len(headings) else "") + f" ({why})"
-        for (name, why), where in found.items()
+        for (name, why), where in unranked.items()
     ]
     return f"{UNRANKED} not ranked: {and_more(named, _MOST_NAMED)}."
 

@@ -48,14 +48,16 @@ _GROUPS = {"study": "Repeats the experiments of the papers."}
 @cache
 def verb(name: str) -> click.Command:
     """Import a verb of `VERBS` and return its command."""
-    found: Any = getattr(import_module(f"trajeval_ros.cli.{VERBS[name]}"), name.replace(" ", "_"))
-    if isinstance(found, click.Command):
-        return found
+    command: Any = getattr(
+        import_module(f"trajeval_ros.cli.{VERBS[name]}"), name.replace(" ", "_")
+    )
+    if isinstance(command, click.Command):
+        return command
     # The program of the node also runs on machines without click, so it is a function.
     from trajeval_ros.cli.command import RosCommand, ros_arguments
     from trajeval_ros.ros.evaluator_help import HELP
 
-    return RosCommand(name, params=[], callback=lambda: found(ros_arguments()), help=HELP)
+    return RosCommand(name, params=[], callback=lambda: command(ros_arguments()), help=HELP)
 
 
 class VerbGroup(click.Group):
@@ -100,8 +102,8 @@ class VerbGroup(click.Group):
         """Return the help with the first sentence of every verb."""
         from trajeval_ros.cli.help_pages import help_of_group
 
-        found = {name: self.get_command(ctx, name) for name in self.commands}
-        return help_of_group(self, ctx, {name: item for name, item in found.items() if item})
+        commands = {name: self.get_command(ctx, name) for name in self.commands}
+        return help_of_group(self, ctx, {name: item for name, item in commands.items() if item})
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, is_set: bool) -> None:

@@ -56,8 +56,8 @@ class RosCommand(VerbCommand):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Store the ROS arguments in the context, and parse the others."""
-        own, ctx.obj = split_ros_arguments(args)
-        return super().parse_args(ctx, own)
+        others, ctx.obj = split_ros_arguments(args)
+        return super().parse_args(ctx, others)
 
 
 def ros_arguments() -> list[str]:

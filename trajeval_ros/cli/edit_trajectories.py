@@ -247,16 +247,19 @@ def trajectory(
     hints = SideHints.of(columns, frame_rate)
     split = [(name, item) for name, source in map(split_name, sources)
              for item in each_topic(source)]  # fmt: skip
-    wanted = [source for _, source in split]
-    if merge and len(wanted) == 1:
+    every_source = [source for _, source in split]
+    if merge and len(every_source) == 1:
         raise SettingsError("--merge needs several sources; give more, or remove it")
     # One call reads all sources of a bag in one pass.
     others = [] if reference is None else [reference]
-    names = [*names_with([name for name, _ in split], wanted), *("reference" for _ in others)]
-    every_hint = [*[hints.estimate] * len(wanted), *[hints.groundtruth] * len(others)]
-    read = read_shown([*wanted, *others], names, strict=strict, hints=every_hint)
+    names = [
+        *names_with([name for name, _ in split], every_source),
+        *("reference" for _ in others),
+    ]
+    every_hint = [*[hints.estimate] * len(every_source), *[hints.groundtruth] * len(others)]
+    read = read_shown([*every_source, *others], names, strict=strict, hints=every_hint)
     require_used(list(zip(every_hint, read, strict=True)))
-    edited = edit(read[: len(wanted)], None if reference is None else read[-1], editing)
+    edited = edit(read[: len(every_source)], None if reference is None else read[-1], editing)
     everything = _with_references(edited)
     paths: list[Path] = []
     if save_as is not None:
@@ -275,21 +278,21 @@ def trajectory(
 
 def parse_motion(text: str) -> tuple[float, float]:
     """Parse "0.1,5", metres and degrees; return metres and radians."""
-    said = f"--motion-filter {text!r} is not valid; give metres and degrees, as in 0.1,5"
-    distance_m, angle_deg = two_numbers(text, said)
+    mistake = f"--motion-filter {text!r} is not valid; give metres and degrees, as in 0.1,5"
+    distance_m, angle_deg = two_numbers(text, mistake)
     return distance_m, math.radians(angle_deg)
 
 
 def _with_references(edited: Sequence[Edited]) -> list[Trajectory]:
     """Return the trajectories to print and save, with the references of synchronised ones."""
-    found: list[Trajectory] = []
+    trajectories: list[Trajectory] = []
     for item in edited:
-        found.append(item.trajectory)
+        trajectories.append(item.trajectory)
         if item.reference is not None:
             name = f"{item.trajectory.name}_reference"
             reading = dataclasses.replace(item.reference.reading, source="")
-            found.append(dataclasses.replace(item.reference, name=name, reading=reading))
-    return found
+            trajectories.append(dataclasses.replace(item.reference, name=name, reading=reading))
+    return trajectories
 
 
 def _print(trajectories: Sequence[Trajectory], paths: Sequence[Path]) -> None:

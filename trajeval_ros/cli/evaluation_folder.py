@@ -133,5 +133,5 @@ def contents(folder: Path) -> str:
         files.append("figures")
     else:
         hints.append(f"figures need matplotlib, install it: {extra_command('plot')}")
-    said = f"{', '.join(files[:-1])} and {files[-1]} are in {folder}"
-    return "; ".join([said, *hints])
+    sentence = f"{', '.join(files[:-1])} and {files[-1]} are in {folder}"
+    return "; ".join([sentence, *hints])

@@ -92,32 +92,32 @@ def groundtruth(
     with progress(f"reading {', '.join(names_of([truth]))}") as advance:
         (original,) = read_many([truth], advance=advance, covariances=False)
         readings = None if imu is None else imu_of(imu)
-    found = examine(original, readings, imu_noise=noise, time_offset_s=time_offset)
+    examined = examine(original, readings, imu_noise=noise, time_offset_s=time_offset)
     saved: list[Path] = []
-    if save_as is not None and found.fits is not None:
-        named = dataclasses.replace(found.fits.repaired, name=_NAME)
+    if save_as is not None and examined.fits is not None:
+        named = dataclasses.replace(examined.fits.repaired, name=_NAME)
         saved = save_trajectories(output, [named], save_as, "Odometry")
-    if figure is not None and found.fits is not None:
+    if figure is not None and examined.fits is not None:
         from trajeval_ros.report.figure_style import apply_style
         from trajeval_ros.report.figures import write_figure
         from trajeval_ros.report.groundtruth_report import groundtruth_figure
 
         with apply_style():
-            write_figure(groundtruth_figure(original, found, found.fits), figure)
-    if rrd is not None and found.fits is not None:
+            write_figure(groundtruth_figure(original, examined, examined.fits), figure)
+    if rrd is not None and examined.fits is not None:
         from trajeval_ros.metrics.evaluation import evaluate
         from trajeval_ros.metrics.protocol import Protocol
         from trajeval_ros.viewer.recorded_scene import write_recording
 
-        late = round(found.fits.rig.offset_s * NANOSECONDS)
+        late = round(examined.fits.rig.offset_s * NANOSECONDS)
         by_imu = dataclasses.replace(original, stamps=original.stamps + late)
         compared = Protocol(gauge="none", lengths="none")
-        repaired = dataclasses.replace(found.fits.repaired, name="repaired")
+        repaired = dataclasses.replace(examined.fits.repaired, name="repaired")
         write_recording(rrd, [evaluate(by_imu, repaired, compared)])
-    write_json(json, groundtruth_json(truth, imu, original, found))
+    write_json(json, groundtruth_json(truth, imu, original, examined))
     if not quiet and json != "-":
         from trajeval_ros.report.console import console
         from trajeval_ros.report.groundtruth_report import print_groundtruth
 
-        print_groundtruth(console(), found, saved)
+        print_groundtruth(console(), examined, saved)
     report_dropped([original])

@@ -97,22 +97,22 @@ def _list_folder(folder: Path) -> None:
     from trajeval_ros.report.console import console
 
     with progress(f"searching {folder}") as advance:
-        found = find_sources(folder, advance)
-    left_out = "; ".join(found.left_out)
-    if not found.sources:
+        contents = find_sources(folder, advance)
+    left_out = "; ".join(contents.left_out)
+    if not contents.sources:
         more = f"; skipped: {left_out}" if left_out else ""
         raise InputError(
             f"no readable bag or trajectory in {folder} "
-            f"({counted(found.others, 'other file')}){more}"
+            f"({counted(contents.others, 'other file')}){more}"
         )
     terminal = console()
     rows = [
         (str(source.path), source.kind, source.problem or ", ".join(source.topics))
-        for source in found.sources
+        for source in contents.sources
     ]
     _print_table(terminal, ("source", "format", "topics with poses or transforms"), rows)
-    if found.others:
-        terminal.print(f"other files: {found.others}", soft_wrap=True)
+    if contents.others:
+        terminal.print(f"other files: {contents.others}", soft_wrap=True)
     if left_out:
         terminal.print(f"skipped: {left_out}", soft_wrap=True)
 

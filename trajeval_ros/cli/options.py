@@ -215,10 +215,10 @@ def _completion(metavar: str, choices: Iterable[str]) -> Callable[..., list[Comp
     def complete(_context: Any, _parameter: Any, start: str) -> list[CompletionItem]:
         from click.shell_completion import CompletionItem
 
-        found = [CompletionItem(choice) for choice in choices if choice.startswith(start)]
-        if not found and any(file in metavar for file in _FILES):
-            found = [CompletionItem(start, type="file")]
-        return found
+        completions = [CompletionItem(choice) for choice in choices if choice.startswith(start)]
+        if not completions and any(file in metavar for file in _FILES):
+            completions = [CompletionItem(start, type="file")]
+        return completions
 
     return complete
 

@@ -77,13 +77,13 @@ def explain(
     with progress("reading") as advance:
         trajectories = read_many(sources, advance=advance)
     sides = zip(trajectories[::2], trajectories[1::2], runs, strict=True)
-    found = search([(truth, estimate, run[2]) for truth, estimate, run in sides], unit or "")
+    explanation = search([(truth, estimate, run[2]) for truth, estimate, run in sides], unit or "")
     up = trajectories[0].up.name, trajectories[1].up.name
-    write_json(json, _json(found, up))
+    write_json(json, _json(explanation, up))
     if json != "-":
-        _print(found, runs, up, unit or "")
+        _print(explanation, runs, up, unit or "")
     report_dropped(trajectories)
-    return 0 if found.verdict == "named" else _NOT_NAMED
+    return 0 if explanation.verdict == "named" else _NOT_NAMED
 
 
 def _runs(
@@ -106,7 +106,7 @@ def _runs(
     path = Path(given[0])
     content = read_mapping(path, "list of runs", as_text=True)
     require_known(content, ("unit", "runs"), str(path))
-    found: list[Run] = []
+    listed: list[Run] = []
     for item in content.get("runs") or ():
         keys = ("groundtruth", "estimate", "number")
         if not isinstance(item, dict) or item.keys() != set(keys):
@@ -115,11 +115,11 @@ def _runs(
             )
         truth, estimate, numbers = (item[key] for key in keys)
         numbers = numbers if isinstance(numbers, list) else [numbers]
-        found.append((str(path.parent / truth), str(path.parent / estimate), numbers))
-    return found, unit or content.get("unit")
+        listed.append((str(path.parent / truth), str(path.parent / estimate), numbers))
+    return listed, unit or content.get("unit")
 
 
-def _print(found: Explanation, runs: Sequence[Run], up: Axes, unit: str) -> None:
+def _print(explanation: Explanation, runs: Sequence[Run], up: Axes, unit: str) -> None:
     from trajeval_ros.report.console import console
 
     terminal = console()
@@ -128,32 +128,32 @@ def _print(found: Explanation, runs: Sequence[Run], up: Axes, unit: str) -> None
         terminal.print(text, soft_wrap=True)
 
     line(
-        f"{counted(found.searched, 'definition')}, {found.matching} match; an unrelated number "
-        f"has {found.expected:.2g} matches on average, and at least one in "
-        f"{100.0 * found.any_probability:.0f} % of cases"
+        f"{counted(explanation.searched, 'definition')}, {explanation.matching} match; an "
+        f"unrelated number has {explanation.expected:.2g} matches on average, and at least one in "
+        f"{100.0 * explanation.any_probability:.0f} % of cases"
     )
     if not all(PublishedNumber.parse(text, unit).unit for *_, texts in runs for text in texts):
         line("note: numbers without a unit are compared in m, %, deg and deg/m; set --unit")
-    line(_VERDICTS[found.verdict])
-    if found.disagreeing is not None:
-        truth, estimate, texts = runs[found.disagreeing]
+    line(_VERDICTS[explanation.verdict])
+    if explanation.disagreeing is not None:
+        truth, estimate, texts = runs[explanation.disagreeing]
         line(
-            f"run {found.disagreeing + 1} does not fit: {truth} {estimate} {' '.join(texts)}; all "
-            f"other {len(runs) - 1} runs do"
+            f"run {explanation.disagreeing + 1} does not fit: {truth} {estimate} "
+            f"{' '.join(texts)}; all other {len(runs) - 1} runs do"
         )
-    for match in (found.matches or found.nearest)[:_SHOWN]:
+    for match in (explanation.matches or explanation.nearest)[:_SHOWN]:
         most = 0.99 if len(runs) == 1 and len(match.definitions) == 1 else 1.0
-        share = f"{100.0 * min(match.probability, most):5.1f} %  " if found.matches else ""
+        share = f"{100.0 * min(match.probability, most):5.1f} %  " if explanation.matches else ""
         for definition, values in zip(match.definitions, match.values, strict=True):
             shown = " ".join(significant(value, 6) for value in values)
             line(f"{share}{shown} {definition.unit}  {definition}")
         line(f"         association {', '.join(match.associations)}")
         if match.others:
             line(f"         equal: {'; '.join(match.others)}")
-        for text in _commands(match, *runs[0][:2], up) if found.matches else ():
+        for text in _commands(match, *runs[0][:2], up) if explanation.matches else ():
             line(f"         {text}")
-    if found.matches:
-        line(f"{100.0 * found.none_probability:5.1f} %  none of these")
+    if explanation.matches:
+        line(f"{100.0 * explanation.none_probability:5.1f} %  none of these")
 
 
 def _commands(match: Match, truth: str, estimate: str, up: Axes) -> Iterator[str]:
@@ -169,7 +169,7 @@ def _commands(match: Match, truth: str, estimate: str, up: Axes) -> Iterator[str
             yield "protocol.yaml: {" + ", ".join(command.file.splitlines()) + "}"
 
 
-def _json(found: Explanation, up: Axes) -> dict[str, Any]:
+def _json(explanation: Explanation, up: Axes) -> dict[str, Any]:
     def number(definition: Definition, values: tuple[float, ...]) -> dict[str, Any]:
         command = command_of(definition, up)
         return {
@@ -183,11 +183,11 @@ def _json(found: Explanation, up: Axes) -> dict[str, Any]:
 
     def match(item: Match) -> dict[str, Any]:
         return {
-            "probability": item.probability if found.matches else None,
+            "probability": item.probability if explanation.matches else None,
             "associations": list(item.associations),
             "equal": list(item.others),
             "numbers": [*map(number, item.definitions, item.values)],
         }
 
-    lists = {key: [*map(match, getattr(found, key))] for key in ("matches", "nearest")}
-    return {"schema": SCHEMA, "verdict": found.verdict, **vars(found), **lists}
+    lists = {key: [*map(match, getattr(explanation, key))] for key in ("matches", "nearest")}
+    return {"schema": SCHEMA, "verdict": explanation.verdict, **vars(explanation), **lists}

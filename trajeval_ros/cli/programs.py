@@ -84,8 +84,8 @@ def _fail(sentence: str) -> int:
     from trajeval_ros.report.console import ERROR, console
 
     with may_break():
-        said = without_secrets(f"trajeval: {' '.join(sentence.split())}")
-        console(sys.stderr).print(said, ERROR, soft_wrap=True)
+        text = without_secrets(f"trajeval: {' '.join(sentence.split())}")
+        console(sys.stderr).print(text, ERROR, soft_wrap=True)
     return 2
 
 
@@ -150,13 +150,13 @@ def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]
 def _run(arguments: Sequence[str]) -> int:
     from trajeval_ros.ros.evaluator_help import HELP
 
-    own, ros_arguments = split_ros_arguments(arguments)
-    if own in (["--help"], ["-h"]):
+    words, ros_arguments = split_ros_arguments(arguments)
+    if words in (["--help"], ["-h"]):
         print(HELP)
         return 0
-    if own:
+    if words:
         raise SettingsError(
-            f"evaluator: unknown argument {' '.join(own)}; give all settings as ROS parameters, "
+            f"evaluator: unknown argument {' '.join(words)}; give all settings as ROS parameters, "
             "as in --ros-args -p groundtruth_topic:=/mocap/pose (see evaluator --help)"
         )
     return evaluator(ros_arguments)

@@ -100,8 +100,8 @@ def study_association(
 
 
 def _durations(text: str) -> tuple[float, float]:
-    said = "give the shortest and the longest duration in seconds, as in 1,2.5"
-    return two_numbers(text, f"--dropout-length {text!r} is not valid; {said}")
+    mistake = "give the shortest and the longest duration in seconds, as in 1,2.5"
+    return two_numbers(text, f"--dropout-length {text!r} is not valid; {mistake}")
 
 
 def _print(

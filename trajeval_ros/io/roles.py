@@ -110,10 +110,14 @@ def likely_evaluations(
     if len(groups) == 2 and None in groups:  # one gauge is known
         unknown = groups.pop(None)
         next(iter(groups.values())).extend(unknown)
+    # Of several bags with groundtruth, every one is evaluated by its estimates, if it has any.
+    bags = {_bag(truth.source) for truth in likely if truth}
+    with_estimates = {_bag(estimate.source) for estimate in estimates}
+    is_split = len(bags) > 1 and bags <= with_estimates
     return [
         _evaluation(
             truth,
-            group,
+            together,
             description,
             others=len(references) - 1,
             has_sensors=not has_one_gauge,
@@ -121,6 +125,13 @@ def likely_evaluations(
         )
         for truth in likely or [None]
         for group in groups.values()
+        if (
+            together := [
+                estimate
+                for estimate in group
+                if truth is None or not is_split or _bag(estimate.source) == _bag(truth.source)
+            ]
+        )
     ]
 
 
@@ -180,6 +191,11 @@ def _rank(summary: TrajectorySummary) -> int:
     if summary.fixed:
         return _FIXES
     return 0 if _PREFERRED.search(f"{_topic(summary.source)} {summary.frame}") else 1
+
+
+def _bag(source: str) -> str:
+    """Return the bag of a SOURCE, or "" for a file."""
+    return source.rpartition(":")[0]
 
 
 def _topic(source: str) -> str:

@@ -25,9 +25,13 @@ _EVALUATED, _AVAILABLE = 2, 0  # places of their colours
 _BINS = 30
 
 
-def as_available_figure(evaluation: Evaluation, found: AsAvailable) -> Figure:
+def as_available_figure(evaluation: Evaluation, availability: AsAvailable) -> Figure:
     """Draw the whole run, 10 s around the largest difference, ages, and latencies."""
-    numbers, samples, latency = found.numbers, found.samples, found.numbers.latency_s
+    numbers, samples, latency = (
+        availability.numbers,
+        availability.samples,
+        availability.numbers.latency_s,
+    )
     assert samples is not None
     assert latency is not None
     name = evaluation.estimate.name or "estimate"

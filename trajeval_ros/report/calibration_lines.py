@@ -66,12 +66,12 @@ def _line(label: str, text: str, parameter: Parameter, applied: bool) -> str:
     return f"  {label:<14} {text}: {status}, {verdict}; {parameter.reason}"
 
 
-def _quantity(found: Parameter, factor: float, unit: str, form: str) -> str:
+def _quantity(parameter: Parameter, factor: float, unit: str, form: str) -> str:
     """Return value and 95 % interval of a parameter in a unit, `factor` times its own."""
-    if found.value is None or found.half_width_95 is None:
+    if parameter.value is None or parameter.half_width_95 is None:
         return "unknown"
-    value = " ".join(form.format(factor * component) for component in found.value)
-    widths = factor * found.half_width_95
+    value = " ".join(form.format(factor * component) for component in parameter.value)
+    widths = factor * parameter.half_width_95
     if np.isnan(widths).any():
         width = " ".join("?" if np.isnan(width) else f"{width:.2g}" for width in widths)
     else:

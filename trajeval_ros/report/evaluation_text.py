@@ -135,9 +135,9 @@ def print_remarks(remarks: Console, runs: Sequence[RunOutcome]) -> None:
     for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
         notes = [item for item in trajectory.reading.remarks if item.level is Level.NOTE]
         shown = [note for note in notes if note.code not in (ASSUMED, FORMAT)]
-        said = "; ".join(item.text for item in shown)
-        if said:
-            remarks.remark("note", f"{trajectory.name}: {said}")
+        texts = "; ".join(item.text for item in shown)
+        if texts:
+            remarks.remark("note", f"{trajectory.name}: {texts}")
         for note in notes:
             if note.code == ASSUMED:
                 remarks.remark("assumed", note.text)

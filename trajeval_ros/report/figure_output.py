@@ -43,9 +43,9 @@ def save(figure: Figure, path: Path, file_format: str, title: str = "") -> Path:
         except (RuntimeError, FileNotFoundError, ValueError) as error:
             if not by_latex:
                 raise
-            said = " ".join(str(error).split())[:200]
+            reason = " ".join(str(error).split())[:200]
             raise InputError(
-                f"LaTeX can't typeset a figure: {said}; use format pdf, which needs no LaTeX"
+                f"LaTeX can't typeset a figure: {reason}; use format pdf, which needs no LaTeX"
             ) from error
     return path
 

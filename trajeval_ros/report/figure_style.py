@@ -175,11 +175,13 @@ def _set_by_user() -> dict[Any, Any]:
     import matplotlib
 
     # All at once: reading the backend alone would select one.
-    now, own = (
+    values, defaults = (
         dict(dict.items(params)) for params in (matplotlib.rcParams, matplotlib.rcParamsDefault)
     )
     return {
-        name: value for name, value in now.items() if name != "backend" and value != own.get(name)
+        name: value
+        for name, value in values.items()
+        if name != "backend" and value != defaults.get(name)
     }
 
 
@@ -207,8 +209,8 @@ def _read_style(path: Path) -> dict[Any, Any]:
     finally:
         logger.removeHandler(listener)
     if complaints:
-        said = complaints[0].strip().split("\n", 1)[0]
-        raise InputError(f"the style sheet {path} is not valid: {said}")
+        complaint = complaints[0].strip().split("\n", 1)[0]
+        raise InputError(f"the style sheet {path} is not valid: {complaint}")
     settings.pop("backend", None)
     return settings
 

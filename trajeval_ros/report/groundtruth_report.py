@@ -27,7 +27,7 @@ _HORIZONS = (("rotation", slice(0, 3), "deg"), ("lever arm", slice(3, 6), "mm"))
 
 
 def print_groundtruth(
-    terminal: Console, found: ExaminedGroundtruth, saved: Sequence[Path]
+    terminal: Console, examined: ExaminedGroundtruth, saved: Sequence[Path]
 ) -> None:
     """Print the table of causes, the findings, the notes, and the repaired groundtruth."""
     rows = [
@@ -39,10 +39,10 @@ def print_groundtruth(
             cause.unit,
             _shown(cause.p_value, is_probability=True),
         )
-        for cause in found.causes.values()
+        for cause in examined.causes.values()
     ]
     show(terminal, Table("", _WORDS, _NUMBERS, rows))
-    for line in _sentences(found):
+    for line in _sentences(examined):
         terminal.print(line, soft_wrap=True)
     for path in saved:
         terminal.print(f"saved {path}", soft_wrap=True)
@@ -56,12 +56,12 @@ def _shown(value: float | None, *, is_probability: bool = False) -> str:
     return four_digits(value)
 
 
-def _sentences(found: ExaminedGroundtruth) -> Iterator[str]:
-    yield from (item.sentence for item in found.significant)
-    if not found.significant:
+def _sentences(examined: ExaminedGroundtruth) -> Iterator[str]:
+    yield from (item.sentence for item in examined.significant)
+    if not examined.significant:
         yield "No cause of errors is significant."
-    yield from (f"note: {note}" for note in found.notes)
-    fits = found.fits
+    yield from (f"note: {note}" for note in examined.notes)
+    fits = examined.fits
     if fits is None:
         return
     assert fits.repaired.covariances is not None
@@ -82,10 +82,10 @@ def _sentences(found: ExaminedGroundtruth) -> Iterator[str]:
     )
 
 
-def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: Fits) -> Figure:
+def groundtruth_figure(original: Trajectory, examined: ExaminedGroundtruth, fits: Fits) -> Figure:
     """Draw the residuals over time with the jumps, and the calibration of both horizons."""
     named = canvas.short_names([original.name or "groundtruth"])
-    figure = canvas.new_figure(5.2, f"{named[0]}, {len(found.significant)} significant causes")
+    figure = canvas.new_figure(5.2, f"{named[0]}, {len(examined.significant)} significant causes")
     grid = figure.add_gridspec(3, 2)
     lengths = fits.short.residuals * [1e3, 180.0 / math.pi]
     first = int(original.stamps.min())

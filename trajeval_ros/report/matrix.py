@@ -145,9 +145,9 @@ def with_common_notes(matrices: Sequence[Matrix]) -> tuple[list[Matrix], list[st
     """Return the tables without the notes that several of them have, and these notes once."""
     counts = Counter(note for matrix in matrices for note in matrix.notes)
     common = [note for note, count in counts.items() if count > 1]
-    own = [tuple(note for note in matrix.notes if note not in common) for matrix in matrices]
+    remaining = [tuple(note for note in matrix.notes if note not in common) for matrix in matrices]
     return [
-        replace(matrix, notes=notes) for matrix, notes in zip(matrices, own, strict=True)
+        replace(matrix, notes=notes) for matrix, notes in zip(matrices, remaining, strict=True)
     ], common
 
 

@@ -208,10 +208,12 @@ def probabilistic_table(assessments: Mapping[str, LikelihoodAssessment]) -> Tabl
 def probabilistic_lines(assessments: Mapping[str, LikelihoodAssessment]) -> list[str]:
     """Return the remarks that all estimates share once, then the others with names."""
     remarks = [dict.fromkeys(assessment.statements) for assessment in assessments.values()]
-    shared = [line for line in remarks[0] if all(line in own for own in remarks)]
+    shared = [
+        line for line in remarks[0] if all(line in lines_of_name for lines_of_name in remarks)
+    ]
     lines = [f"  {line}" for line in shared]
-    for name, own in zip(assessments, remarks, strict=True):
-        lines += [f"  {name}: {line}" for line in own if line not in shared]
+    for name, lines_of_name in zip(assessments, remarks, strict=True):
+        lines += [f"  {name}: {line}" for line in lines_of_name if line not in shared]
     return lines
 
 

@@ -122,9 +122,9 @@ def draw_fixes(axes: Axes, groundtruth: Trajectory, seen: Floats, plane: tuple[i
     for status in np.unique(fixes.status).tolist():
         place = FIX_STATUS_PLACES.get(status)
         colour = canvas.soft_ink() if place is None else canvas.line_style(place)[0]
-        own = fixes.status == status
+        of_status = fixes.status == status
         axes.plot(
-            *seen[own].T,
+            *seen[of_status].T,
             color=colour,
             linestyle="none",
             marker="o",
@@ -132,7 +132,7 @@ def draw_fixes(axes: Axes, groundtruth: Trajectory, seen: Floats, plane: tuple[i
             zorder=_BELOW_GROUNDTRUTH,
             label=f"fixes of status {status} ({_STATUS.get(status, 'unknown')}), 95 %",
         )
-        rows = np.flatnonzero(own & fixes.known)
+        rows = np.flatnonzero(of_status & fixes.known)
         if len(rows) and groundtruth.covariances is not None:
             rows = rows[np.unique(np.linspace(0, len(rows) - 1, _MOST_ELLIPSES).astype(int))]
             covariances = groundtruth.covariances[np.ix_(rows, plane, plane)]

@@ -228,16 +228,16 @@ def _score(evaluation: Evaluation) -> list[str]:
         lines.append(f"  recall of all points{level}: {within}")
     if score is None:
         return lines
-    found = [
+    counts = [
         f"{count} under {bound:g} m"
         for bound, count in zip(score.bounds_m, score.found, strict=False)
         if count
     ]
-    found.append(f"{score.found[-1]} beyond, {score.missing} missing")
+    counts.append(f"{score.found[-1]} beyond, {score.missing} missing")
     return [
         *lines,
         f"  score {score.value:.4g} of {score.best:g} for {score.references} points: "
-        + ", ".join(found),
+        + ", ".join(counts),
     ]
 
 
@@ -250,28 +250,28 @@ def _drift(evaluation: Evaluation) -> str:
     return f", drift {mean} % over {length}"
 
 
-def noise_corrected_line(own: NoiseCorrectedAte) -> str:
+def noise_corrected_line(ate: NoiseCorrectedAte) -> str:
     """Return the line about the noise-corrected ATE, without the noise of fixes."""
-    independent = significant(own.effective_fixes, 2)
-    worth = f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {independent} independent fixes"
-    guess = ", from approximate covariances of the driver" if own.by_guess else ""
-    low, high = own.interval_m
-    if own.resolved:
-        said = (
-            f"  noise-corrected ATE {own.ate_m:.3g} m (95 % interval {low:.3g} to {high:.3g} m); "
-            f"{worth} (correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+    independent = significant(ate.effective_fixes, 2)
+    worth = f"{counted(ate.fixes, 'fix', 'fixes')}, equivalent to {independent} independent fixes"
+    guess = ", from approximate covariances of the driver" if ate.by_guess else ""
+    low, high = ate.interval_m
+    if ate.resolved:
+        sentence = (
+            f"  noise-corrected ATE {ate.ate_m:.3g} m (95 % interval {low:.3g} to {high:.3g} m); "
+            f"{worth} (correlation time {ate.correlation_s:g} s), noise {ate.noise_rms_m:.2g} m"
         )
     else:
         why = (
             ("the fixes have too many jumps")
-            if own.jumps and 2.0 * own.ate_m >= high - low
+            if ate.jumps and 2.0 * ate.ate_m >= high - low
             else "the fixes have too much noise"
         )
-        said = (
+        sentence = (
             f"  noise-corrected ATE below {high:.3g} m (95 %), no lower limit since {why}; "
-            f"{worth} (correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+            f"{worth} (correlation time {ate.correlation_s:g} s), noise {ate.noise_rms_m:.2g} m"
         )
-    return said + guess
+    return sentence + guess
 
 
 def diagnosis_lines(run: RunOutcome) -> list[str]:
@@ -305,8 +305,8 @@ def explanation(diagnosis: Diagnosis) -> list[str]:
     lines = []
     for test in diagnosis.examined:
         scores = ", ".join(f"{name} {value:.4g}" for name, value in test.scores.items())
-        said = ", ".join(seen.cause for seen in test.seen) or test.why_not or "no mistake"
-        lines.append(f"{test.test}: {said}" + (f" ({scores})" if scores else ""))
+        result = ", ".join(seen.cause for seen in test.seen) or test.why_not or "no mistake"
+        lines.append(f"{test.test}: {result}" + (f" ({scores})" if scores else ""))
     return lines
 
 

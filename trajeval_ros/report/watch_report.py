@@ -103,19 +103,19 @@ def factor_line(seen: Watched, book: AlarmBook) -> str:
     }
     name = max(largest, key=lambda item: largest[item])
     needed = math.ceil(10.0 * _RESERVE * largest[name]) / 10.0
-    said = f"the largest value is {largest[name]:.2g} times its limit at factor 1 ({name})"
+    sentence = f"the largest value is {largest[name]:.2g} times its limit at factor 1 ({name})"
     if needed <= book.factor:
-        return f"{said}; factor: {book.factor:g}"
-    return f"{said}; factor: {book.factor:g}. If this run is healthy, use --factor {needed:g}"
+        return f"{sentence}; factor: {book.factor:g}"
+    return f"{sentence}; factor: {book.factor:g}. If this run is healthy, use --factor {needed:g}"
 
 
 def seen_line(seen: Watched, book: AlarmBook) -> str:
     """Return the number of alarms and the observed time."""
     count = len(book.alarms)
-    said = f"{counted(count, 'alarm')} in {_hours(seen.hours)}"
+    sentence = f"{counted(count, 'alarm')} in {_hours(seen.hours)}"
     if not count and seen.hours:  # the signals of a clip may be of one second
-        return f"{said}: fewer than {_RULE_OF_THREE / seen.hours:.3g} per hour (95 %)"
-    return f"{said}, armed at {seen.armed_s:.1f} s"
+        return f"{sentence}: fewer than {_RULE_OF_THREE / seen.hours:.3g} per hour (95 %)"
+    return f"{sentence}, armed at {seen.armed_s:.1f} s"
 
 
 def _hours(hours: float) -> str:
