@@ -21,6 +21,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.results.calibration_json import calibration_json
+from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.report.calibration_lines import calibration_lines
@@ -97,6 +98,19 @@ def test_a_marker_and_its_clock_are_found_and_applied(
     assert found["ate"]["after"]["position_m"] < 0.7 * found["ate"]["before"]["position_m"]
     assert found["ate"]["before"]["rotation_deg"] > 100.0
     assert found["ate"]["after"]["rotation_deg"] < 3.0
+
+
+@pytest.mark.parametrize(("time_offset_s", "codes"), [(0.0, 1), (0.1, 0)])
+def test_a_clock_that_is_not_corrected_is_told(
+    pair: tuple[Trajectory, Trajectory], time_offset_s: float, codes: int
+) -> None:
+    protocol = dataclasses.replace(YAW, association=AssociationRule(time_offset_s=time_offset_s))
+    calibrated = evaluate_calibrated(*pair, protocol, CalibrationRequest(hand_eye=True))
+    told = [
+        item for item in calibrated.evaluation.remarks if item.code == "clock_offset_not_corrected"
+    ]
+    assert len(told) == codes
+    assert all("by +100" in item.text and "--time-offset auto" in item.text for item in told)
 
 
 @pytest.mark.parametrize("pairs", [0, 1, 2, 5])

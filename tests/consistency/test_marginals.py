@@ -288,3 +288,13 @@ def test_an_indefinite_information_is_told_with_what_may_be_open(gauge: str) -> 
     with pytest.raises(InputError, match="information matrix is not positive definite") as told:
         JointCovariance(*parts, gauge).pose_covariance(np.arange(2))
     assert ("except for position and yaw" in str(told.value)) == (gauge == "free")
+
+
+@pytest.mark.parametrize("gauge", [Gauge.NONE, Gauge.YAW])
+def test_a_single_pair_is_told_so_and_nothing_of_its_covariance(gauge: Gauge) -> None:
+    run = dataclasses.replace(make_groundtruth(0, 2), covariances=_good(2))
+    two = AlignedStates(run, run, Similarity.identity(), gauge, 1)
+    assert assess_marginals(two, from_the_start=True).per_pose is not None
+    one = dataclasses.replace(two, groundtruth=run[:1], estimate=run[:1])
+    with pytest.raises(InputError, match="needs at least 2 pairs"):
+        assess_marginals(one, from_the_start=True)

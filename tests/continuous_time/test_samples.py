@@ -10,13 +10,14 @@ from groundtruth_samples import samples_at
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.continuous_time import continuous_trajectory
 from trajeval_ros.continuous_time.continuous_trajectory import (
     LinearInterpolation,
     MarkovPoses,
     NearestSample,
     fit_trajectory,
 )
-from trajeval_ros.continuous_time.samples import Noise, Samples
+from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -89,3 +90,36 @@ def test_the_span_of_samples_includes_its_ends() -> None:
     jerk = fit_trajectory(of_stamps(seconds, np.outer(seconds, [1.0, 0, 0])), "wnoj")
     assert jerk.markov is jerk.poses
     assert jerk.markov.positions.process.order == 3
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_auto_is_the_candidate_of_the_largest_held_out_likelihood(
+    monkeypatch: pytest.MonkeyPatch, oriented: bool
+) -> None:
+    """Candidates that differ in their covariances; the best one is that of the actual errors."""
+    generator = np.random.default_rng(5)
+    seconds = np.arange(240.0)
+    noise = Noise(0.05, 0.02)
+    positions = generator.normal(scale=0.05, size=(240, 3))
+    turns = generator.normal(scale=0.02, size=(240, 3))
+
+    class Constant:
+        """The mean at rest, with a covariance."""
+
+        def __init__(self, factor: float) -> None:
+            self.factor = factor
+
+        def at(self, times: Array) -> Belief:
+            spread = np.diag(np.repeat([0.05**2, 0.02**2], 3)) * self.factor
+            return Belief(
+                np.tile(np.eye(4), (len(times), 1, 1)), np.tile(spread, (len(times), 1, 1))
+            )
+
+    # Independent errors of samples add their noise: the likelihood is largest without more.
+    factors = {"matern": 1.0, "wnoa": 1e-6, "wnoj": 10.0}
+    fits = {name: lambda _, f=f: Constant(f) for name, f in factors.items()}
+    monkeypatch.setattr(continuous_trajectory, "_FITS", {**continuous_trajectory._FITS, **fits})
+    samples = Samples.of(of_stamps(seconds, positions, turns if oriented else None), noise)
+    assert continuous_trajectory._most_predictive(samples) == "wnoa"
+    few = samples[np.arange(7)]
+    assert continuous_trajectory._most_predictive(few) == "matern"

@@ -189,10 +189,6 @@ def test_a_small_length_or_angle_is_not_zero() -> None:
     assert [degrees(2e-4), degrees(None)] == ["0.000200°", "-"]
 
 
-def test_what_is_no_number_is_said() -> None:
-    assert [three_decimals(None), three_decimals(float("inf"))] == ["-", "failed"]
-
-
 @pytest.mark.parametrize(
     ("share", "text"),
     [
@@ -306,11 +302,6 @@ def test_a_narrow_terminal_wraps_numbers_and_marks_what_is_marked() -> None:
 )
 def test_names_are_no_arguments_and_no_ligatures_of_latex(text: str, printed: str) -> None:
     assert latex_text(text) == printed
-
-
-@pytest.mark.parametrize("mark", ["\u200e", "\u200f", "\u061c", "\u202e", "\u2066"])
-def test_marks_of_direction_are_shown(mark: str) -> None:
-    assert visible(f"a{mark}b") == f"a\\u{ord(mark):04x}b"
 
 
 @pytest.mark.parametrize("name", ["https://evil.org", "WWW.evil.org", "me@evil.org"])

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.geometry import covariance_frames, se3, so3
+from trajeval_ros.geometry import covariance_frames, lie, se3, so3
 from trajeval_ros.geometry.banded_matrices import BandedGaussian, Factor, add_blocks, bandwidth
 from trajeval_ros.geometry.gauge import (
     Gauge,
@@ -22,6 +22,7 @@ from trajeval_ros.geometry.gauge import (
     least_squares_normals,
     orbit_basis,
 )
+from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.marker import HandEye, at_arms
 from trajeval_ros.geometry.preintegration import ImuNoise, preintegrate
 
@@ -98,8 +99,8 @@ def test_congruence_is_symmetric() -> None:
     generator = np.random.default_rng(0)
     matrices, roots = generator.normal(size=(2, 5, 4, 4))
     covariances = roots @ se3.transposed(roots)
-    found = se3.congruent(matrices, covariances)
-    for one, matrix, covariance in zip(found, matrices, covariances, strict=True):
+    result = se3.congruent(matrices, covariances)
+    for one, matrix, covariance in zip(result, matrices, covariances, strict=True):
         np.testing.assert_allclose(one, matrix @ covariance @ matrix.T, atol=1e-13)
         np.testing.assert_array_equal(one, one.T)
 
@@ -126,15 +127,15 @@ def test_covariances_in_other_axes_are_those_of_turned_errors(seed: int) -> None
     size = 8
     large = generator.normal(size=(2 * size, 2 * size))
     both = np.stack([turn, turn.T])
-    found, information = covariance_frames.world_from_body_rotations_jointly(
+    result, information = covariance_frames.world_from_body_rotations_jointly(
         large @ large.T, csr_matrix(large @ large.T), both, size
     )
     change = np.eye(2 * size)
     change[3:6, 3:6], change[11:14, 11:14] = turn, turn.T
     expected = change @ large @ large.T @ change.T
-    assert found is not None
+    assert result is not None
     assert information is not None
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(result, expected, atol=1e-12)
     np.testing.assert_allclose(information.toarray(), expected, atol=1e-12)
     other = np.eye(5)
     kept, none = covariance_frames.world_from_body_rotations_jointly(other, None, both, size)
@@ -149,8 +150,8 @@ def test_covariances_of_preintegration_are_those_of_noisy_samples(scheme: str) -
     steps = generator.uniform(0.1, 0.2, size=(2, 5))
     steps[1, 3:] = 0.0
     noise = ImuNoise(0.3, 0.7)
-    found = preintegrate(rates, forces, steps, noise, scheme)
-    np.testing.assert_allclose(found.durations_s, steps.sum(axis=1))
+    result = preintegrate(rates, forces, steps, noise, scheme)
+    np.testing.assert_allclose(result.durations_s, steps.sum(axis=1))
     expected = np.zeros((2, 9, 9))
     for sensor, density in ((0, noise.gyroscope), (1, noise.accelerometer)):
         for sample in range(5):
@@ -171,7 +172,7 @@ def test_covariances_of_preintegration_are_those_of_noisy_samples(scheme: str) -
                 if steps[interval, sample] > 0.0:
                     variance = density**2 / steps[interval, sample]
                     expected[interval] += variance * change[interval] @ change[interval].T
-    np.testing.assert_allclose(found.covariances, expected, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(result.covariances, expected, rtol=1e-5, atol=1e-9)
 
 
 @given(seed=seeds)
@@ -184,8 +185,8 @@ def test_arms_move_covariances_to_first_order(seed: int) -> None:
         ahead, behind = (so3.exp(sign * step) @ arm for sign in (1.0, -1.0))
         change[:3, 3 + axis] = (ahead - behind) / 2e-6
     expected = change @ root @ root.T @ change.T
-    found = at_arms((root @ root.T)[None], arm[None])[0]
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+    result = at_arms((root @ root.T)[None], arm[None])[0]
+    np.testing.assert_allclose(result, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_a_marker_of_an_estimate_in_other_units() -> None:
@@ -295,9 +296,9 @@ def test_factors_of_many_states_are_one_matrix(count: int) -> None:
             dense[here, before], dense[before, here] = lower[row - 1], lower[row - 1].T
     inverse = np.linalg.inv(dense).reshape(count, 2, count, 2)
     factor = Factor.of(diagonal, lower)
-    own, beside = factor.inverse_blocks()
+    estimated, beside = factor.inverse_blocks()
     item = np.arange(count)
-    np.testing.assert_allclose(own, inverse[item, :, item], rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(estimated, inverse[item, :, item], rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(beside, inverse[item[:-1], :, item[1:]], rtol=1e-8, atol=1e-9)
     # Blocks are added up, with and without those below them.
     band = np.zeros((count, 2, 4))
@@ -345,3 +346,14 @@ def test_a_singular_information_is_an_error() -> None:
     with pytest.raises(DegenerateGeometryError, match="do not determine all directions"):
         BandedGaussian(csr_matrix(np.diag([1.0, 1.0, 0.0])))
     assert bandwidth(csr_matrix((3, 3))) == 0
+
+
+def test_a_gyroscope_of_linear_rates_turns_by_their_integral() -> None:
+    seconds = np.array([0.0, 0.3, 0.4, 1.0])
+    rates = np.outer(1.0 + 2.0 * seconds, [0.0, 0.6, 0.8])
+    first = lie.from_rotation_vector(np.array([0.5, 0.0, 0.0]))
+    result = turned_by_gyro(seconds, rates, first)
+    turns = np.outer(seconds + seconds**2, [0.0, 0.6, 0.8])
+    expected = Rotation.from_quat(first) * Rotation.from_rotvec(turns)
+    assert (expected.inv() * Rotation.from_quat(result)).magnitude().max() < 1e-12
+    np.testing.assert_array_equal(turned_by_gyro(seconds, rates)[0], [0.0, 0.0, 0.0, 1.0])

@@ -10,30 +10,11 @@ from strategies import gauges, make_element, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge, Similarity, gauge_for
-from trajeval_ros.metrics.protocol import Protocol
-
-
-@pytest.mark.parametrize(
-    ("modality", "gauge"),
-    [("mono", Gauge.SIM3), ("stereo", Gauge.SE3), ("mono-inertial", Gauge.YAW)],
-)
-def test_modalities_are_table_one_of_the_tutorial(modality: str, gauge: Gauge) -> None:
-    assert MODALITIES[modality] is gauge
 
 
 @pytest.mark.parametrize("default", [Gauge.SE3, Gauge.NONE])
 def test_nothing_asked_for_is_the_default(default: Gauge) -> None:
     assert gauge_for(None, None, default) is default
-
-
-def test_the_default_protocols_gauge_is_se3() -> None:
-    assert Protocol().gauge is Gauge.SE3
-
-
-@pytest.mark.parametrize("gauge", list(Gauge))
-def test_gauges_have_their_names(gauge: Gauge) -> None:
-    assert gauge_for(gauge.value, None, Gauge.SE3) is gauge
-    assert gauge.description
 
 
 @pytest.mark.parametrize("modality", list(MODALITIES))

@@ -12,6 +12,7 @@ from live_feeding import SECOND, feed, make_pair
 from strategies import seeds
 
 from trajeval_ros import Gauge, Protocol, evaluate
+from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.metrics.absolute_errors import absolute_errors
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
@@ -125,3 +126,14 @@ def test_lengths_and_window_change_while_it_runs() -> None:
 def test_windows_are_read_as_they_are_written(size: int, unit: str) -> None:
     window = Window.parse(f"{size}{unit}")
     assert Window.parse(str(window)) == window
+
+
+@pytest.mark.parametrize("text", ["99999999999s", "1000000001m", "9" * 20, "9" * 400])
+def test_a_window_longer_than_any_run_is_refused(text: str) -> None:
+    with pytest.raises(SettingsError, match="above the limit of 1e\\+09"):
+        Window.parse(text)
+
+
+@pytest.mark.parametrize("text", ["0", "30s", "50m", "500", "2.5m"])
+def test_windows_are_written_as_they_are_read(text: str) -> None:
+    assert str(Window.parse(text)) == text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -234,41 +234,6 @@ def test_real_bags(source: str, count: int, length: float, shared_data: Path) ->
     read = read_trajectory(str(shared_data / "bags" / source))
     assert len(read) == count
     assert read.path_length_m == pytest.approx(length, abs=1e-3)
-
-
-def plain_messages(path: Path, topic: str) -> Iterator[Any]:
-    from rosbags.highlevel import AnyReader
-
-    with AnyReader([path]) as reader:
-        wanted = [item for item in reader.connections if item.topic == topic]
-        for connection, _, payload in reader.messages(wanted):
-            yield reader.deserialize(payload, connection.msgtype)
-
-
-@pytest.mark.parametrize(
-    ("bag", "topic"), [("ROS_example.bag", "S-PTAM"), ("nav2_turtlebot.mcap", "/odom")]
-)
-def test_columns_equal_plain_deserialisation(bag: str, topic: str, shared_data: Path) -> None:
-    path = shared_data / "bags" / bag
-    read = read_trajectory(f"{path}:{topic}")
-    messages = list(plain_messages(path, topic))
-    stamps = [
-        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in messages
-    ]
-    poses = [
-        message.pose.pose if hasattr(message, "twist") else message.pose for message in messages
-    ]
-    assert read.stamps.tolist() == stamps
-    expected = [[item.position.x, item.position.y, item.position.z] for item in poses]
-    np.testing.assert_array_equal(read.positions, expected)
-    q = [item.orientation for item in poses]
-    rotations = Rotation.from_quat([[item.x, item.y, item.z, item.w] for item in q])
-    assert read.rotations is not None
-    assert (read.rotations * rotations.inv()).magnitude().max() <= SAME_ROTATION_RAD
-    if hasattr(messages[0], "twist"):
-        twists = [message.twist.twist.linear for message in messages]
-        expected = rotations.apply([[twist.x, twist.y, twist.z] for twist in twists])
-        np.testing.assert_allclose(read.velocities, expected, atol=1e-15)
 
 
 def test_progress_counts_messages(tmp_path: Path) -> None:

@@ -279,10 +279,10 @@ def test_damaged_messages_are_judged_as_rosbags_judges_them(message_type: str) -
                 continue
             good.append(row)
         columns = plan.decode(payloads)
-        ours = columns.rows.tolist()
-        assert set(good) <= set(ours)
+        result = columns.rows.tolist()
+        assert set(good) <= set(result)
         # Besides, we read XCDR2, and empty strings without terminator.
-        more = set(ours) - set(good)
+        more = set(result) - set(good)
         assert all(
             payloads[row][:2] in (b"\0\6", b"\0\7") or b"\0\0\0\0" in payloads[row] for row in more
         )
@@ -312,29 +312,6 @@ def test_standard_types_are_those_of_ros() -> None:
     for store in (Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY):
         for message_type, fields in STANDARD.items():
             assert fields_of(get_typestore(store).fielddefs, message_type) == fields
-
-
-@pytest.mark.parametrize(
-    "message_type", [pose_type for pose_type in POSE_TYPES if pose_type != PATH_TYPE]
-)
-def test_rows_of_poses_name_their_payloads(message_type: str) -> None:
-    random = np.random.default_rng(6)
-    messages = [random_message(STORE, message_type, random) for _ in range(6)]
-    payloads = [bytes(STORE.serialize_cdr(message, message_type)) for message in messages]
-    payloads[2] = payloads[2][:-9]
-    poses = decode_poses(payloads, message_type)
-    assert poses.rows.tolist() == [0, 1, 3, 4, 5]
-    assert poses.undecodable == 1
-    stamps = [
-        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in messages
-    ]
-    assert poses.stamps.tolist() == [stamps[row] for row in poses.rows]
-    assert poses.covariances is None
-    with_covariance = decode_poses(payloads, message_type, covariance=True)
-    assert (with_covariance.covariances is not None) == hasattr(
-        getattr(messages[0], "pose", None), "covariance"
-    )
-    assert decode_poses([], message_type).frames == []
 
 
 def test_live_decoding_imports_no_library() -> None:
@@ -375,26 +352,6 @@ def test_poses_of_a_path_may_be_in_any_frames() -> None:
         for pose in message.poses
     ]
     assert path.positions.tolist() == expected
-
-
-def test_transforms_by_edge() -> None:
-    random = np.random.default_rng(9)
-    kind = "tf2_msgs/msg/TFMessage"
-    messages: list[Any] = [random_message(STORE, kind, random) for _ in range(50)]
-    payloads = [bytes(STORE.serialize_cdr(item, kind)) for item in messages]
-    payloads[7] = b"\0\1\0\0\1"
-    edges, undecodable = decode_transforms(payloads)
-    assert undecodable == 1
-    expected: dict[tuple[str, str], list[tuple[int, float]]] = {}
-    for row, message in enumerate(messages):
-        for transform in message.transforms if row != 7 else []:
-            key = transform.header.frame_id, transform.child_frame_id
-            expected.setdefault(key, []).append((row, transform.transform.rotation.w))
-    found = {
-        key: list(zip(edge.rows.tolist(), edge.numbers[:, 6].tolist(), strict=True))
-        for key, edge in edges.items()
-    }
-    assert found == expected
 
 
 def real_bags(folder: Path) -> list[Path]:

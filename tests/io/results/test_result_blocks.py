@@ -1,11 +1,11 @@
-"""Blocks of results: calibration, likelihoods, watch, and the folder."""
+"""Blocks of results: unknown calibrations, likelihoods of gauges, and the folder."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -19,8 +19,6 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.results import result_folder
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.io.results.probabilistic_json import _gauge_scores as gauge_scores_json
-from trajeval_ros.io.results.watch_json import watch_json
-from trajeval_ros.metrics.discontinuities.events import Event
 
 FAKE: Any = SimpleNamespace
 
@@ -67,13 +65,13 @@ def test_what_is_unknown_of_a_calibration_is_null() -> None:
     lacking = calibrated(of_marker=False)
     lacking.calibration.offset = lacking.calibration.turn = unknown
     lacking.calibration.lever = nan
-    found = calibration_json(lacking)
-    assert found["errors_of"] == "body"
-    offset, turn = found["time_offset"], found["hand_eye"]["rotation"]
+    result = calibration_json(lacking)
+    assert result["errors_of"] == "body"
+    offset, turn = result["time_offset"], result["hand_eye"]["rotation"]
     assert offset["value_s"] is offset["sigma_s"] is offset["half_width_95_s"] is None
     for name in ("xyzw", "angle_deg", "sigma_deg", "half_width_95_deg"):
         assert turn[name] is None
-    assert found["hand_eye"]["lever_arm"]["sigma_m"] == [pytest.approx(0.3), None, 0.5]
+    assert result["hand_eye"]["lever_arm"]["sigma_m"] == [pytest.approx(0.3), None, 0.5]
     lacking.calibration.lever = unknown
     assert calibration_json(lacking)["hand_eye"]["lever_arm"]["value_m"] is None
 
@@ -82,69 +80,15 @@ def test_likelihoods_of_gauges_are_written_with_their_directions() -> None:
     scale = FAKE(values=[math.log(1.25)], z=[2.5])
     tilt = FAKE(values=[math.radians(3.0), math.radians(-4.0)], z=(0.5, 1.5))
     scores: Any = FAKE(sim3=1.0, se3=2.0, yaw=3.0, scale=scale, tilt=tilt)
-    found = gauge_scores_json(scores)
-    assert found["tilt_deg"] == [pytest.approx(3.0), pytest.approx(-4.0)]
-    assert found["tilt_z"] == [0.5, 1.5]
-    likelihoods = [found[f"log_likelihood_{name}"] for name in ("sim3", "se3", "yaw")]
+    result = gauge_scores_json(scores)
+    assert result["tilt_deg"] == [pytest.approx(3.0), pytest.approx(-4.0)]
+    assert result["tilt_z"] == [0.5, 1.5]
+    likelihoods = [result[f"log_likelihood_{name}"] for name in ("sim3", "se3", "yaw")]
     assert likelihoods == [1.0, 2.0, 3.0]
-    assert (found["scale"], found["scale_z"]) == (pytest.approx(1.25), 2.5)
+    assert (result["scale"], result["scale_z"]) == (pytest.approx(1.25), 2.5)
     scores.scale = None
-    found = gauge_scores_json(scores)
-    assert found["scale"] is found["scale_z"] is None
-
-
-def test_a_watch_is_written_with_times_of_the_recording() -> None:
-    names = "rate", "gap"
-    known: Any = {
-        "step_m": (np.array([1.0, 2.5, 4.0]), np.array([0.1, 0.9, 0.3])),
-        "nothing": (np.zeros(0), np.zeros(0)),
-    }
-    alarms = [
-        FAKE(signal=item, begin_s=1.25, last_s=3.0, is_over=over, peak=7.0, peak_s=2.0, limit=5.0)
-        for item, over in zip(names, (True, False), strict=True)
-    ]
-    book = FAKE(
-        factor=1.5,
-        limit=lambda name: {"step_m": 0.5}[name],
-        is_error=lambda alarm: alarm.signal == "gap",
-        alarms=alarms,
-    )
-    event = Event("step", "estimate", 10**18, 10**18 + 1, m=0.3, ratio=7.0)
-    seen = FAKE(
-        origin=10**18, armed_s=0.5, end_s=9.5, signals=known, notices=("a", "b"), events=(event,)
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        unit = "trajeval_ros.io.results.watch_json.signal_of"
-        patch.setattr(unit, lambda _: FAKE(unit="m"))
-        found = watch_json("vio", cast("Any", seen), cast("Any", book))
-    assert found.pop("signals") == [
-        {"name": "step_m", "unit": "m", "largest": 0.9, "stamp_ns": 10**18 + 2_500_000_000,
-         "limit": 0.5}
-    ]  # fmt: skip
-    written = found.pop("alarms")
-    assert [item["level"] for item in written] == ["warning", "error"]
-    assert written[0] == {
-        "signal": "rate",
-        "level": "warning",
-        "begin_ns": 10**18 + 1_250_000_000,
-        "last_ns": 10**18 + 3_000_000_000,
-        "is_over": True,
-        "peak": 7.0,
-        "peak_ns": 10**18 + 2_000_000_000,
-        "limit": 5.0,
-    }
-    assert found.pop("events") == [
-        {"kind": "step", "t_ns": 10**18, "end_ns": 10**18 + 1, "m": 0.3, "deg": 0.0, "s": 0.0,
-         "certainty": "likely", "ratio": 7.0, "gap_s": 0.0}
-    ]  # fmt: skip
-    assert found == {
-        "schema": "trajeval-watch/3",
-        "estimate": "vio",
-        "armed_ns": 10**18 + 500_000_000,
-        "judged_s": 9.0,
-        "factor": 1.5,
-        "notices": ["a", "b"],
-    }
+    result = gauge_scores_json(scores)
+    assert result["scale"] is result["scale_z"] is None
 
 
 def test_results_are_written_to_a_new_folder(tmp_path: Path) -> None:
