@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 import zipfile
@@ -164,6 +165,21 @@ def test_json_lines(tmp_path: Path) -> None:
         read_trajectory(path)
     path.write_text('[{"time": 1.0},\n{"time" 2.0}]')
     with pytest.raises(InputError, match=r"is not valid JSON: .* line 2 column 9"):
+        read_trajectory(path)
+
+
+def test_an_archive_of_endless_zeros_is_refused(tmp_path: Path) -> None:
+    path, begin = tmp_path / "run.npz", io.BytesIO()
+    form = {"descr": "<f8", "fortran_order": False, "shape": (9 * 2**20, 8)}
+    np.lib.format.write_array_header_1_0(begin, form)
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("poses.npy", "w") as file,
+    ):
+        file.write(begin.getvalue())
+        for _ in range(9):
+            file.write(bytes(2**26))
+    with pytest.raises(InputError, match="poses has a compression ratio above 500"):
         read_trajectory(path)
 
 

@@ -27,21 +27,24 @@ def load(path: Path) -> tuple[Any, Floats | None]:
     """Return the array of poses in a file, and that of times if it has one (.npz)."""
     import zipfile  # slow, and only for arrays
 
-    try:
-        with path.open("rb") as file:
-            if zipfile.is_zipfile(file) and set(zipfile.ZipFile(file).namelist()) >= _EVO_RESULT:
-                raise InputError(
-                    f"{path} has the errors of evo, and no poses; give the trajectories that evo "
-                    "compared, as in trajeval evaluate GROUNDTRUTH ESTIMATE --protocol evo"
-                )
-            file.seek(0)
-            content: Any = np.load(file, allow_pickle=False)
-            if not isinstance(content, np.ndarray):
-                content = {name: content[name] for name in content.files[:50]}
-    except InputError:
-        raise
-    except Exception as error:  # zipfile and zlib have types of their own
-        raise InputError(f"{path} is not a readable array of numpy ({error})") from error
+    from trajeval_ros.io.npz_file import read_arrays
+
+    content: Any
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+        if set(names) >= _EVO_RESULT:
+            raise InputError(
+                f"{path} has the errors of evo, and no poses; give the trajectories that evo "
+                "compared, as in trajeval evaluate GROUNDTRUTH ESTIMATE --protocol evo"
+            )
+        arrays = [name.removesuffix(".npy") for name in names if name.endswith(".npy")]
+        content = read_arrays(path, arrays[:50])
+    else:
+        try:
+            content = np.load(path, allow_pickle=False)
+        except Exception as error:  # of many types, for damaged headers
+            raise InputError(f"{path} is not a readable array of numpy ({error})") from error
     array, times = content, []
     if isinstance(content, dict):
         poses = [part for part in content.values() if part.ndim > 1 and part.shape[1:] in _SHAPES]
