@@ -265,10 +265,10 @@ def _counted(group: Sequence[Event], first_ns: int | None) -> str:
         return _sentence_about_loss(group, first_ns)
     largest = max(event.m for event in group)
     size = f" of up to {largest:.2f} m" if largest else ""
-    end_ns = group[0].end_ns
-    at = f"pair {round(end_ns / _ROW_NS) + 1}"
+    at_ns = group[0].t_ns if kind in kinds.FREEZES else group[0].end_ns
+    at = f"pair {round(at_ns / _ROW_NS) + 1}"
     if first_ns is not None:
-        at = f"{(end_ns - first_ns) / NANOSECONDS:.1f} s"
+        at = f"{(at_ns - first_ns) / NANOSECONDS:.1f} s"
     first = f"at {at}" if len(group) == 1 else f"the first at {at}"
     whose = "of an undecided side" if side == kinds.UNDECIDED else f"of the {side}"
     noun = _NOUNS.get(kind, kind.replace("_", " "))
