@@ -161,6 +161,11 @@ SITUATIONS: dict[str, tuple[Trajectory, Trajectory, str | None, tuple[str, str],
         GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, 30.0, 50.0)), "frozen_position",
         ("frozen_position", "estimate"), "the position of the estimate is frozen from 30.",
     ),
+    "rotation holds, position lives": (
+        GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, 40.0), ("quaternions",)),
+        "frozen_rotation", ("frozen_rotation", "estimate"),
+        "the rotation of the estimate is frozen from 40.",
+    ),
     "pose holds": (
         GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, 30.0, 50.0), POSE), "frozen",
         ("frozen_position", "estimate"), "the estimate repeats its pose for ",

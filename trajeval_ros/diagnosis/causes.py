@@ -61,6 +61,9 @@ _ESTIMATE_EVENTS = (  # errors of the estimate, which are no mistakes
     Cause("flip_stays", _FLIPS, _BEFORE, _UNTIL),
     Cause("frozen_position", "the position of the {side} is frozen from {begin_s:.1f} "
           "s{lasting}{number}, while the {other} moves {m:.2f} m", _BEFORE, _UNTIL),
+    Cause("frozen_rotation", "the rotation of the {side} is frozen from {begin_s:.1f} "
+          "s{lasting}{number}, while the {other} rotates by {deg:.0f} deg", _BEFORE, _UNTIL,
+          of_error="rotation"),
 )
 # The most severe ones first. Those of a group are equally severe.
 _BY_SEVERITY: tuple[Cause | tuple[Cause, ...], ...] = (

@@ -19,8 +19,10 @@ from trajeval_ros.diagnosis.discontinuities import (
     changes_motions,
     examined_discontinuities,
     has_clock_step,
+    is_rotation_frozen,
     with_divergences,
     with_events,
+    without_jumps,
 )
 from trajeval_ros.diagnosis.evaluation_tests import (
     covariance_blocks,
@@ -92,11 +94,14 @@ def diagnose(
     known, is_partial, unexplained = _tested_where_tracked(losses, pairs, inputs)
     if known.named("other_run") and _is_of_noisy_fixes(evaluation):
         known = known.without("other_run", "fixes are noisier than short motions")
-    is_explained = any(map(_explains_motions, known.findings))
-    if not is_explained or known.names_any(_OTHER_PAIRS):
-        searched = with_events(evaluation, groundtruth, estimate, paired=paired)
-        # After a step of a clock, motions agree by chance with wrong conventions, too.
-        evaluation = evaluation if is_explained and not has_clock_step(searched) else searched
+    is_searched = not paired or not any(map(_explains_motions, known.findings))
+    if is_searched:
+        evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
+    if is_rotation_frozen(evaluation):
+        known = known.without("rotations", "a rotation is frozen")
+    # After a step of a clock, motions agree by chance with wrong conventions, too.
+    if any(map(_explains_motions, known.findings)) and not has_clock_step(evaluation):
+        evaluation = without_jumps(evaluation)
     evaluation = with_divergences(evaluation, unexplained)
     # A flip changes no rate of motion, by which clocks and other runs are known.
     is_apart = known.names_any(_OTHER_PAIRS) and not has_clock_step(evaluation)

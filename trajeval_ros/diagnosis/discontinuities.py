@@ -30,6 +30,7 @@ _FALLS = 0.8  # of the ATE: steps that cause more of it are a finding
 # The same without outliers: a good estimate has a few, which are its errors.
 _OUTLIERS_FALL = {kinds.GROUNDTRUTH: 0.8, kinds.ESTIMATE: 0.5}
 _SIGMAS = 5.0  # errors: a larger outlier of the groundtruth is wrong, whatever its share is
+_LARGE_PART = 0.2  # of the run
 _NOISY = "gnss"  # kind of groundtruth whose noise hides steps
 _MOST = 3  # parts that are named
 _ROW_NS = NANOSECONDS // 10  # between poses without timestamps, as of most recordings
@@ -67,6 +68,18 @@ def with_events(
     events = tuple(discontinuities(groundtruth, estimate, offset_ns))
     parts = parts_of(pairs, events, evaluation.protocol) if has_times else ()
     return dataclasses.replace(evaluation, events=events, parts=parts)
+
+
+def without_jumps(evaluation: Evaluation) -> Evaluation:
+    """Return an evaluation with exact repeats alone as events, which no convention explains."""
+    events = tuple(event for event in evaluation.events if event.kind in kinds.FREEZES)
+    return dataclasses.replace(evaluation, events=events, parts=())
+
+
+def is_rotation_frozen(evaluation: Evaluation) -> bool:
+    """Return whether a rotation is frozen for a large part of the run, as if it was wrong."""
+    frozen = [event.s for event in evaluation.events if event.kind == kinds.FROZEN_ROTATION]
+    return sum(frozen) > _LARGE_PART * evaluation.association.estimate.duration_s
 
 
 def with_divergences(evaluation: Evaluation, losses: Sequence[Loss]) -> Evaluation:
@@ -165,7 +178,7 @@ def _unexplained(evaluation: Evaluation, known: Diagnosis) -> list[Event]:
     return [
         event
         for event in evaluation.events
-        if not (event.kind == kinds.FROZEN_POSITION and event.side in frozen)
+        if not (event.kind in kinds.FREEZES and event.side in frozen)
     ]
 
 
@@ -252,10 +265,10 @@ def _counted(group: Sequence[Event], first_ns: int | None) -> str:
         return _sentence_about_loss(group, first_ns)
     largest = max(event.m for event in group)
     size = f" of up to {largest:.2f} m" if largest else ""
-    end_ns = group[0].end_ns
-    at = f"pair {round(end_ns / _ROW_NS) + 1}"
+    at_ns = group[0].t_ns if kind in kinds.FREEZES else group[0].end_ns
+    at = f"pair {round(at_ns / _ROW_NS) + 1}"
     if first_ns is not None:
-        at = f"{(end_ns - first_ns) / NANOSECONDS:.1f} s"
+        at = f"{(at_ns - first_ns) / NANOSECONDS:.1f} s"
     first = f"at {at}" if len(group) == 1 else f"the first at {at}"
     whose = "of an undecided side" if side == kinds.UNDECIDED else f"of the {side}"
     noun = _NOUNS.get(kind, kind.replace("_", " "))

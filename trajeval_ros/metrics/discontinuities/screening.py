@@ -35,7 +35,7 @@ def may_have_events(
     if len(pairs) < _FEW_PAIRS:
         return True
     sides = groundtruth, estimate
-    if any(_has_irregular_stamps(side) or _has_repeats(side.positions) for side in sides):
+    if any(_has_irregular_stamps(side) or _has_repeats(side) for side in sides):
         return True
     true, aligned = pairs.groundtruth, similarity.trajectory(pairs.estimate)
     roots = _roots_of_steps(true.stamps)
@@ -62,8 +62,11 @@ def _has_irregular_stamps(side: Trajectory) -> bool:
     return bool(np.abs(more).max(initial=0) > SMALLEST_S * NANOSECONDS)
 
 
-def _has_repeats(positions: Floats) -> bool:
-    return bool((positions[1:] == positions[:-1]).all(axis=1).any())
+def _has_repeats(side: Trajectory) -> bool:
+    """Return whether a part of a pose is repeated, but for a rotation that never changes."""
+    parts = [side.positions] if side.quaternions is None else [side.positions, side.quaternions]
+    repeats = [(part[1:] == part[:-1]).all(axis=1) for part in parts]
+    return bool(repeats[0].any() or (repeats[-1].any() and not repeats[-1].all()))
 
 
 def _roots_of_steps(stamps: Stamps) -> Floats:
