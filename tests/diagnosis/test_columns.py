@@ -87,7 +87,7 @@ def spread(*sizes: float, count: int = 30) -> TimedPoses:
         (0.01, 10.0, False),
         (0.01, 0.1, False),
         (0.5, 1.0, False),
-        (1e-7, 1.0, False),
+        (1e-9, 1.0, False),
     ],
 )
 def test_degrees_have_the_extent_of_the_other_side_on_the_earth(
