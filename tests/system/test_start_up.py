@@ -217,6 +217,21 @@ def test_verbs_that_evaluate_nothing_live_do_without_ros_and_simulation(name: st
     assert not loaded & {"scipy", "matplotlib", "jinja2", "pyarrow", "rerun"}
 
 
+@pytest.mark.slow
+def test_large_texts_are_read_without_pandas(tmp_path: Path) -> None:
+    """Its import takes a tenth of an evaluation of a million poses."""
+    for name in ("pandas", "pyarrow"):
+        pytest.importorskip(name, reason=f"{name} is missing")
+    path = tmp_path / "large.txt"
+    path.write_text("".join(f"{second} 1 2 3 0 0 0 1\n" for second in range(100)))
+    _, loaded = _loaded(
+        "from pathlib import Path; from trajeval_ros.io.text import reader, table; "
+        f"table._LARGE = 0; print(len(reader.read_text(Path({str(path)!r}))))"
+    )
+    assert "pyarrow.csv" in loaded
+    assert "pandas" not in loaded
+
+
 def test_a_misspelt_verb_imports_none() -> None:
     _, loaded = _loaded(MAIN.format(arguments=["evalute"]))
     assert not loaded & {*FILES, "numpy"}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -216,10 +216,17 @@ def _by_arrow(
     if any(words.itemsize >= WIDTH for words in texts.values()):
         return None
     groups = {
-        group: np.column_stack([content.column(str(at)).to_numpy() for at in places])
+        group: np.column_stack([_floats(content.column(str(at)).chunks) for at in places])
         for group, places in layout.groups.items()
     }
     return Rows(len(content), texts, groups)
+
+
+def _floats(parts: Sequence[Any]) -> Floats:
+    """Return arrays of pyarrow without nulls as one of numpy; its own way imports pandas."""
+    return np.concatenate([
+        np.frombuffer(part.buffers()[1], np.float64, len(part), 8 * part.offset) for part in parts
+    ])  # fmt: skip
 
 
 def _words(part: Any) -> Words:
