@@ -56,7 +56,6 @@ CHANGING = {
     "Loss",
     "McapContents",
     "MessageIndex",
-    "OpenStep",
     "PlaybackResult",
     "Progress",
     "Registry",
@@ -67,9 +66,9 @@ CHANGING = {
     "TopicSelection",
     "WatchAlarm",
     "_Candidate",
-    "_Followed",
     "_Kind",
     "_Leaves",
+    "_RepeatedPart",
 }
 MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "linear_algebra_threads"}
 
