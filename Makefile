@@ -76,15 +76,15 @@ test-real: $(REAL)/.installed ## Run the tests of real estimators, in the enviro
 test-slow: $(VENV)/.installed ## Run the tests that take long, or start browsers, viewers and clusters.
 	$(NICE) $(VENV)/bin/$(PYTEST_ALL_CORES) -m "slow and not ros and not oracles"
 
-test-all: test ## Run all tests: fast ones, then slow ones beside those that need ROS 2.
+test-all: test test-slow ## Run all tests: fast ones, slow ones, and those that need ROS 2.
 	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory beside-ros,\
-		@echo "there are no wheels of ROS 2 for this machine: its tests are left out"; \
-		$(MAKE) --no-print-directory test-slow)
+		@echo "there are no wheels of ROS 2 for this machine: its tests are left out")
 
-BESIDE ?= test-slow oracles
+BESIDE ?= oracles
 
 beside-ros: $(ROS)/.installed $(ROS)/.tf2_msgs
-	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target NICE="nice -n 19" test-ros $(BESIDE)
+	@PYTEST_XDIST_AUTO_NUM_WORKERS=1 $(MAKE) --no-print-directory --jobs 2 --output-sync=target \
+		NICE="nice -n 19" test-ros $(BESIDE)
 
 # As on an old CPU: a failure of `make test-jazzy` alone is of the versions or of its arithmetic.
 test-jazzy: $(JAZZY)/.installed ## Run the tests of `make test` on ROS 2 Jazzy's versions, with Nehalem's arithmetic.
