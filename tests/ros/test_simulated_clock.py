@@ -68,6 +68,15 @@ def test_samples_may_arrive_together(delays: list[int], after: int) -> None:
         assert times[-1] == UNKNOWN
 
 
+def test_messages_that_are_read_late_have_times() -> None:
+    """Also if as many samples have arrived since as a fast replay sends."""
+    clock = ClockSamples()
+    for row in range(10_000):
+        clock.see(WALL + row * 1_000_000, SIMULATED + row * PERIOD)
+    late = np.array([WALL + 2_000 * 1_000_000 + 500_000])
+    assert clock.at(late).tolist() == [SIMULATED + 2_000 * PERIOD + PERIOD // 2]
+
+
 def test_arrivals_at_unknown_times_are_left_out() -> None:
     arrivals = Arrivals()
     arrivals.see(np.array([5]), np.array([UNKNOWN]))

@@ -160,7 +160,7 @@ class Latency:
 
 
 TOPIC, TYPE = "/clock", "rosgraph_msgs/msg/Clock"
-_SAMPLES = 256  # samples that are kept; with /clock at 100 Hz, 2.5 s
+_KEPT_NS = 10 * NANOSECONDS  # samples that are kept: a busy node reads its messages seconds late
 _USUAL_SAMPLES = 20  # newest intervals, whose longest one is extrapolated
 _NS = struct.Struct("<iI")
 _ENCAPSULATION = b"\0\1"  # little-endian CDR, as every node of ROS writes it
@@ -173,13 +173,18 @@ class ClockSamples:
     """
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[int, int]] = deque(maxlen=_SAMPLES)
+        self._walls: list[int] = []  # times of reception
+        self._times: list[int] = []
 
     def see(self, received: int, time_ns: int) -> None:
         """Add a simulated time and its time of reception, nanoseconds."""
-        if self._samples and received < self._samples[-1][0]:
-            self._samples.clear()  # the machine's time steps back
-        self._samples.append((received, time_ns))
+        if self._walls and received < self._walls[-1]:
+            self._walls, self._times = [], []  # the machine's time steps back
+        self._walls.append(received)
+        self._times.append(time_ns)
+        half = len(self._walls) // 2
+        if self._walls[half] < received - _KEPT_NS:
+            del self._walls[:half], self._times[:half]
 
     def at(self, received: Stamps) -> Stamps:
         """Return the simulated time at which messages were received, (N,), nanoseconds.
@@ -188,7 +193,7 @@ class ClockSamples:
         is extrapolated by at most one interval of samples. Later times, and times before the
         oldest sample, are `UNKNOWN`.
         """
-        walls, times = np.array(self._samples, dtype=np.int64).reshape(-1, 2).T
+        walls, times = np.array([self._walls, self._times], dtype=np.int64)
         intervals, steps = np.diff(walls), np.diff(times)
         forward = steps >= 0
         if not forward.any():
