@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import struct
 from collections import deque
 from typing import TYPE_CHECKING
@@ -161,6 +162,7 @@ class Latency:
 
 TOPIC, TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 _KEPT_NS = 10 * NANOSECONDS  # samples that are kept: a busy node reads its messages seconds late
+_LAST_NS = int(np.iinfo(np.int64).max)
 _USUAL_SAMPLES = 20  # newest intervals, whose longest one is extrapolated
 _NS = struct.Struct("<iI")
 _ENCAPSULATION = b"\0\1"  # little-endian CDR, as every node of ROS writes it
@@ -193,21 +195,21 @@ class ClockSamples:
         is extrapolated by at most one interval of samples. Later times, and times before the
         oldest sample, are `UNKNOWN`.
         """
-        walls, times = np.array([self._walls, self._times], dtype=np.int64)
+        # At 1 kHz, thousands of samples are kept; messages are usually after most of them.
+        first = bisect.bisect_right(self._walls, int(received.min(initial=_LAST_NS))) - 1
+        # Steps back of time are among the newest intervals, too.
+        first = max(min(first, len(self._walls) - 2 * _USUAL_SAMPLES), 0)
+        walls, times = np.array([self._walls[first:], self._times[first:]], dtype=np.int64)
         intervals, steps = np.diff(walls), np.diff(times)
-        forward = steps >= 0
-        if not forward.any():
+        forward = np.append(steps >= 0, False)  # whether time goes on to another sample
+        usual = np.flatnonzero(forward)[-_USUAL_SAMPLES:]
+        if not len(usual):
             return np.full(len(received), UNKNOWN)
         # Samples may arrive together: the newest interval alone does not tell the usual one.
-        usual_intervals = intervals[forward][-_USUAL_SAMPLES:]
-        usual_steps = steps[forward][-_USUAL_SAMPLES:]
-        # Another sample has an interval after it only if time did not step back there.
-        lasts = np.append(
-            np.where(forward, intervals, usual_intervals.max()), usual_intervals.max()
-        )
-        rate = usual_steps.sum() / max(int(usual_intervals.sum()), 1)
-        rates = np.append(np.where(forward, steps / np.maximum(intervals, 1), rate), rate)
-        most = np.append(np.where(forward, steps, usual_steps.max()), usual_steps.max())
+        lasts = np.where(forward, np.append(intervals, 0), intervals[usual].max())
+        most = np.where(forward, np.append(steps, 0), steps[usual].max())
+        rate = steps[usual].sum() / max(int(intervals[usual].sum()), 1)
+        rates = np.where(forward, most / np.maximum(lasts, 1), rate)
         row = np.searchsorted(walls, received, side="right") - 1
         passed = received - walls[row]
         # Differences to a sample are small; whole times lose digits as float64.

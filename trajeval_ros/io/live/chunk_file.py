@@ -159,8 +159,8 @@ def _next_chunk(file: BinaryIO, left: int, kinds: Kinds) -> Chunk | None:
     size = length + count * kind.itemsize
     if size > min(left - _HEAD.size, _MOST_WAITING) or length > _LONGEST_TEXT:
         return None
-    said, table = file.read(length), file.read(count * kind.itemsize)
-    if len(said) + len(table) < size or zlib.crc32(table, zlib.crc32(said)) != checksum:
+    header, table = file.read(length), file.read(count * kind.itemsize)
+    if len(header) + len(table) < size or zlib.crc32(table, zlib.crc32(header)) != checksum:
         return None
-    text = mapping_in(said) if length else {}
+    text = mapping_in(header) if length else {}
     return None if text is None else (text, np.frombuffer(table, kind))
