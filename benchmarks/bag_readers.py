@@ -60,8 +60,8 @@ def any_reader(path: Path) -> tuple[int, float]:
     def read() -> tuple[int, float]:
         rows = []
         with AnyReader([path]) as reader:
-            wanted = [item for item in reader.connections if item.topic in TOPICS]
-            for connection, _, payload in reader.messages(wanted):
+            expected = [item for item in reader.connections if item.topic in TOPICS]
+            for connection, _, payload in reader.messages(expected):
                 message: Any = reader.deserialize(payload, connection.msgtype)
                 rows.append(row_of(message))
         return len(rows), sum(row[1] for row in rows)

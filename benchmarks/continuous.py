@@ -35,11 +35,11 @@ def continuous_s(model: str, count: int) -> dict[str, float]:
     random = np.random.default_rng(count)
     positions, attitudes = flight(random, 2 * count)
     noise = Noise()
-    turns = Rotation.from_rotvec(random.normal(scale=noise.rotation_rad, size=(count, 3)))
+    rotations = Rotation.from_rotvec(random.normal(scale=noise.rotation_rad, size=(count, 3)))
     groundtruth = Trajectory(
         np.arange(count, dtype=np.int64) * STEP_NS,
         positions[::2] + random.normal(scale=noise.position_m, size=(count, 3)),
-        (attitudes[::2] * turns).as_quat(),
+        (attitudes[::2] * rotations).as_quat(),
     )
     asked = np.sort(random.integers(0, groundtruth.stamps[-1], QUERIES))
     start = time.process_time()
@@ -53,12 +53,12 @@ def likelihood_s(count: int) -> dict[str, float]:
     """Take both generalised errors."""
     random = np.random.default_rng(count)
     positions, attitudes = flight(random, count)
-    moved, turned = estimate_of(random, positions, attitudes)
+    moved, rotated = estimate_of(random, positions, attitudes)
     belief = Belief(
         se3.poses(attitudes.as_matrix(), positions),
         np.tile(np.diag([1e-4] * 3 + [1e-5] * 3), (count, 1, 1)),
     )
-    estimate = se3.poses(turned.as_matrix(), moved)
+    estimate = se3.poses(rotated.as_matrix(), moved)
     residuals = Residuals(belief, estimate, Gauge.SE3)
     start = time.process_time()
     mode = generalised_absolute_error(residuals).mode.element
@@ -70,8 +70,8 @@ def likelihood_s(count: int) -> dict[str, float]:
 def main() -> None:
     """Do one work once."""
     work, count = sys.argv[1], int(sys.argv[2])
-    found = likelihood_s(count) if work == LIKELIHOOD else continuous_s(work, count)
-    print(json.dumps(found))
+    result = likelihood_s(count) if work == LIKELIHOOD else continuous_s(work, count)
+    print(json.dumps(result))
 
 
 if __name__ == "__main__":

@@ -84,9 +84,9 @@ def matrix(pairs: list[Pair], mistakes: dict[str, Mistake]) -> None:
                     continue
                 wrong = mistake.make(pair)
                 what = found(wrong)
-                said = verdict(pair, what, mistake.causes)
-                count[said] += 1
-                if said != RIGHT:
+                text = verdict(pair, what, mistake.causes)
+                count[text] += 1
+                if text != RIGHT:
                     top = what.suggested.cause if what.suggested else SILENT
                     others.append(f"{pair.name} ({top})")
                 elif what.suggested is not None and what.suggested.correction:
@@ -239,10 +239,10 @@ def thinned(pairs: list[Pair]) -> None:
             if not (len(changed.truth) and len(changed.estimate)):
                 continue
             diagnosis = found(changed)
-            said = verdict(pair, diagnosis, mistake.causes)
-            if said == WRONG and diagnosis.suggested is not None:
+            text = verdict(pair, diagnosis, mistake.causes)
+            if text == WRONG and diagnosis.suggested is not None:
                 print(f"  {title}: {name} on {pair.name}: {diagnosis.suggested.cause}")
-            counts[said] += 1
+            counts[text] += 1
         print(f"{title}: mistakes " + ", ".join(f"{n} {item}" for item, n in counts.items()))
 
 
@@ -258,10 +258,10 @@ def strangers(pairs: list[Pair]) -> None:
         max_gap_s = max(one.max_gap_s, other.max_gap_s)
         stranger = dataclasses.replace(one, truth=truth, max_gap_s=max_gap_s)
         diagnosis = found(stranger)
-        said = verdict(stranger, diagnosis, ("other_run",))
-        if said == WRONG and diagnosis.suggested is not None:
+        text = verdict(stranger, diagnosis, ("other_run",))
+        if text == WRONG and diagnosis.suggested is not None:
             print(f"  {one.name} with {other.name}: {diagnosis.suggested.cause}")
-        counts[said] += 1
+        counts[text] += 1
     print("groundtruth of another run: " + ", ".join(f"{n} {item}" for item, n in counts.items()))
 
 
@@ -295,7 +295,7 @@ def main() -> None:
     parser.add_argument("--half", choices=("", "first", "second"), default="", help="of the data")
     parser.add_argument("--count", type=int, default=120)
     options = parser.parse_args()
-    wanted = options.only.split(",")
+    expected = options.only.split(",")
     real = list(recorded(options.data)) if options.data.is_dir() else []
     if options.half:
         real = real[options.half == "second" :: 2]
@@ -304,15 +304,15 @@ def main() -> None:
         for number, (kind, drift) in enumerate(itertools.product(KINDS, ("walk", "heavy")))
     ]
     print("named / stated as a tie / silent / wrong")
-    if "matrix" in wanted:
+    if "matrix" in expected:
         matrix(real + made, MISTAKES)
-    if "further" in wanted:
+    if "further" in expected:
         matrix(real + made, FURTHER)
-    if "users" in wanted:
+    if "users" in expected:
         matrix(real + made, USERS)
-    if "sizes" in wanted:
+    if "sizes" in expected:
         matrix(real, SIZES)
-    if "alarms" in wanted:
+    if "alarms" in expected:
         more = options.seed - 5000
         print("\n| right recordings | alarms | which |\n|---|---|---|")
         alarms("first half", right(real[::2], more, options.count // 2, 1.0))
@@ -329,16 +329,16 @@ def main() -> None:
         alarms("positions only", positions)
         alarms("2 Hz", (_every(item, 0.5) for item in real))
         alarms("1 Hz", (_every(item, 1.0) for item in real))
-    if "combinations" in wanted:
+    if "combinations" in expected:
         yaw = [pair for pair in real + made if pair.gauge.turns_about_gravity_only]
         combinations(yaw)
-    if "strangers" in wanted:
+    if "strangers" in expected:
         strangers(real + made)
-    if "thinned" in wanted:
+    if "thinned" in expected:
         thinned(real + made)
-    if "cpu" in wanted:
+    if "cpu" in expected:
         cost()
-    if "ratios" in wanted:
+    if "ratios" in expected:
         cost_of_mistakes({**MISTAKES, **FURTHER, **USERS}, (10_000, 100_000))
 
 

@@ -66,8 +66,8 @@ def _covariances(pair: Pair, *, exchanged: bool, unit: float) -> Pair:
 
 
 def _tilted(pair: Pair) -> Pair:
-    turn = lie.to_matrix(lie.from_rotation_vector(np.radians([25.0, 0.0, 0.0])))
-    return in_axes(turn, "estimate")(pair)
+    rotation = lie.to_matrix(lie.from_rotation_vector(np.radians([25.0, 0.0, 0.0])))
+    return in_axes(rotation, "estimate")(pair)
 
 
 def _frozen(begin: float, end: float) -> Make:
@@ -88,11 +88,11 @@ def _frozen(begin: float, end: float) -> Make:
 
 def _repeated(estimate: Trajectory, rows: Indices) -> Trajectory:
     """Return poses of other rows (N,) at the same timestamps."""
-    turns = estimate.quaternions
+    rotations = estimate.quaternions
     return dataclasses.replace(
         estimate,
         positions=estimate.positions[rows],
-        quaternions=None if turns is None else turns[rows],
+        quaternions=None if rotations is None else rotations[rows],
     )
 
 

@@ -154,13 +154,13 @@ def _bend(pair: Pair, seconds: float) -> slice:
     begin = max(int(truth.stamps[0]), int(estimate.stamps[0]))
     end = min(int(truth.stamps[-1]), int(estimate.stamps[-1]))
     long = min(round(1e9 * seconds), round(0.3 * (end - begin)))
-    found = []
+    result = []
     for start in np.linspace(begin + 0.1 * (end - begin), end - long - 0.1 * (end - begin), 15):
         first, last = np.searchsorted(truth.stamps, [start, start + long])
         p = truth.positions
         middle = p[(first + last) // 2] - (p[first] + p[last - 1]) / 2.0
-        found.append((float(np.linalg.norm(middle)), int(first), int(last)))
-    _, first, last = max(found)
+        result.append((float(np.linalg.norm(middle)), int(first), int(last)))
+    _, first, last = max(result)
     return slice(first, last)
 
 
@@ -197,7 +197,7 @@ def wide_gap(pair: Pair) -> Pair:
 
 def in_axes(axes: Array, *sides: str) -> Make:
     """Return what tells poses in a world with other axes."""
-    turn = lie.from_matrix(axes)
+    rotation = lie.from_matrix(axes)
 
     def make(pair: Pair) -> Pair:
         for side in sides:
@@ -206,7 +206,7 @@ def in_axes(axes: Array, *sides: str) -> Make:
                 pair,
                 side,
                 positions=one.positions @ axes.T,
-                quaternions=lie.multiply(turn, quaternions_of(one)),
+                quaternions=lie.multiply(rotation, quaternions_of(one)),
             )
         return pair
 
@@ -233,16 +233,18 @@ def restarted(pair: Pair) -> Pair:
     one, row = pair.estimate, int(0.55 * len(pair.estimate))
     p, q = one.positions.copy(), quaternions_of(one).copy()
     about_z = lie.rotation_vector(lie.conjugate(q[row])) * [0.0, 0.0, 1.0]
-    turn = lie.from_rotation_vector(about_z)
-    p[row:] = lie.rotate(turn, p[row:] - p[row])
-    q[row:] = lie.multiply(turn, q[row:])
+    rotation = lie.from_rotation_vector(about_z)
+    p[row:] = lie.rotate(rotation, p[row:] - p[row])
+    q[row:] = lie.multiply(rotation, q[row:])
     return change(pair, "estimate", positions=p, quaternions=q)
 
 
 def marker(pair: Pair) -> Pair:
     """Turn the body's axes."""
-    turn = lie.from_rotation_vector(np.radians([35.0, -50.0, 80.0]))
-    return change(pair, "estimate", quaternions=lie.multiply(quaternions_of(pair.estimate), turn))
+    rotation = lie.from_rotation_vector(np.radians([35.0, -50.0, 80.0]))
+    return change(
+        pair, "estimate", quaternions=lie.multiply(quaternions_of(pair.estimate), rotation)
+    )
 
 
 def lever(pair: Pair) -> Pair:

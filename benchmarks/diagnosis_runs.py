@@ -159,8 +159,8 @@ def with_outliers(pair: Pair, seed: int, number: int, longest: int, *, lost: boo
             positions[rows], quaternions[rows] = positions[0], quaternions[0]
         else:
             positions[rows] += random.normal(0.0, 3.0, 3)
-            turn = lie.from_rotation_vector(random.normal(0.0, np.radians(20.0), 3))
-            quaternions[rows] = lie.multiply(turn, quaternions[rows])
+            rotation = lie.from_rotation_vector(random.normal(0.0, np.radians(20.0), 3))
+            quaternions[rows] = lie.multiply(rotation, quaternions[rows])
     estimate = dataclasses.replace(pair.estimate, positions=positions, quaternions=quaternions)
     return dataclasses.replace(pair, name=f"{pair.name} {number}x{longest}", estimate=estimate)
 
@@ -170,8 +170,8 @@ def _stamps(seconds: Array) -> NDArray[np.int64]:
 
 
 def _about_z(angles: Array) -> Array:
-    turned: Array = lie.from_rotation_vector(np.outer(angles, [0.0, 0.0, 1.0]))
-    return turned
+    rotated: Array = lie.from_rotation_vector(np.outer(angles, [0.0, 0.0, 1.0]))
+    return rotated
 
 
 def _waves(
@@ -231,13 +231,13 @@ def _odometry(
         draw = lambda mean, size, shape: mean + 0.6 * size * random.standard_t(tail, shape)  # noqa: E731
     count, root = len(times), np.sqrt(1.0 / _ESTIMATE_HZ)
     rate = root * np.radians(random.uniform(0.03, 0.4)) * worse
-    turned = _about_z(np.cumsum(draw(0.0, rate, count)))
+    rotated = _about_z(np.cumsum(draw(0.0, rate, count)))
     steps = np.diff(positions, axis=0)
     speed = np.linalg.norm(steps, axis=1, keepdims=True)
     scale = np.full((count - 1, 1), 1.0 + random.normal(0.0, 0.04 if drift == "scale" else 0.01))
     if drift == "scale":
         scale += np.cumsum(random.normal(0.0, 0.003 * root, count - 1))[:, None]
-    moved = scale * lie.rotate(turned[:-1], steps)
+    moved = scale * lie.rotate(rotated[:-1], steps)
     moved += speed * np.cumsum(draw(0.0, 0.004 * root * worse, (count - 1, 3)), axis=0)
     moved += draw(0.0, root * random.uniform(0.002, 0.01) * worse, (count - 1, 3))
     path = np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)])
@@ -248,7 +248,7 @@ def _odometry(
     waves = [_waves(random, times, 1.0, 0.005, 0.1) for _ in range(2)]
     tilt = np.column_stack([*waves, np.zeros(count)])
     tilt *= np.radians(random.uniform(0.1, 2.0 if drift == "tilt" else 0.5))
-    seen = lie.multiply(lie.multiply(turned, lie.from_rotation_vector(tilt)), quaternions)
+    seen = lie.multiply(lie.multiply(rotated, lie.from_rotation_vector(tilt)), quaternions)
     noise = lie.from_rotation_vector(draw(0.0, np.radians(0.1), (count, 3)))
     world = _about_z(random.uniform(-np.pi, np.pi, 1))
     path = lie.rotate(world, path + random.normal(0.0, 0.003, path.shape))

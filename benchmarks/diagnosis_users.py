@@ -47,8 +47,8 @@ def _by_angles(read: str, written: str = "ZYX", factor: float = 1.0, signs: obje
 
     def make(pair: Pair) -> Pair:
         angles = Rotation.from_quat(quaternions_of(pair.estimate)).as_euler(written)
-        turned = Rotation.from_euler(read, factor * angles * np.asarray(signs))
-        return change(pair, "estimate", quaternions=turned.as_quat())
+        rotated = Rotation.from_euler(read, factor * angles * np.asarray(signs))
+        return change(pair, "estimate", quaternions=rotated.as_quat())
 
     return make
 
@@ -110,8 +110,8 @@ def _increments(pair: Pair) -> Pair:
     q, p = quaternions_of(one), one.positions
     back = lie.conjugate(q[:-1])
     steps = np.concatenate([np.zeros((1, 3)), lie.rotate(back, np.diff(p, axis=0))])
-    turned = np.concatenate([[[0.0, 0.0, 0.0, 1.0]], lie.multiply(back, q[1:])])
-    return change(pair, "estimate", positions=steps, quaternions=turned)
+    rotated = np.concatenate([[[0.0, 0.0, 0.0, 1.0]], lie.multiply(back, q[1:])])
+    return change(pair, "estimate", positions=steps, quaternions=rotated)
 
 
 def _both_optical(pair: Pair) -> Pair:
@@ -119,8 +119,8 @@ def _both_optical(pair: Pair) -> Pair:
 
 
 def _world_tilted(degrees: float) -> Make:
-    turn = lie.to_matrix(lie.from_rotation_vector(np.radians([degrees, 0.0, 0.0])))
-    return in_axes(turn, "estimate")
+    rotation = lie.to_matrix(lie.from_rotation_vector(np.radians([degrees, 0.0, 0.0])))
+    return in_axes(rotation, "estimate")
 
 
 def _unreal(pair: Pair) -> Pair:

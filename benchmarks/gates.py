@@ -71,9 +71,9 @@ class Cell:
         z[0, self.trials :] += np.log1p(self.one)
         samples = [Sample(*np.split(item, [self.trials])) for item in z]
         test = PermutationTest(samples, margins, FALSE_ALARMS, RELABELLINGS, random)
-        found = test.worse
-        together = (found.together <= found.level_together).any()
-        return bool(together or (found.alone <= found.level_alone).any())
+        result = test.worse
+        together = (result.together <= result.level_together).any()
+        return bool(together or (result.alone <= result.level_alone).any())
 
     def _logarithms(self, random: np.random.Generator, real: Floats | None) -> Floats:
         """Return logarithms of errors, (sequences, runs, metrics); correlation one half."""
@@ -170,12 +170,12 @@ def print_table(first: str, rows: Iterable[tuple[str, Sequence[str]]]) -> None:
 def print_false_alarms(cells: Sequence[Cell], alarms: Sequence[int]) -> None:
     """Print the shares of all cells and of families, and those by spread and trials."""
     for family in (None, *FAMILIES):
-        found = [(cell.comparisons, count) for cell, count in zip(cells, alarms, strict=True)
+        result = [(cell.comparisons, count) for cell, count in zip(cells, alarms, strict=True)
                  if family in (None, cell.metrics)]  # fmt: skip
-        total, count = (sum(item) for item in zip(*found, strict=True))
+        total, count = (sum(item) for item in zip(*result, strict=True))
         low, high = (100.0 * item for item in interval(count, total, 0.05))
         who = "all" if family is None else f"family of {family}"
-        print(f"{who}: {len(found)} cells, {total} comparisons, alarms in "
+        print(f"{who}: {len(result)} cells, {total} comparisons, alarms in "
               f"{100 * count / total:.2f} % ({low:.2f} to {high:.2f} %)")  # fmt: skip
     above = [cell for cell, count in zip(cells, alarms, strict=True)
              if interval(count, cell.comparisons, 0.1 / len(cells))[0] > FALSE_ALARMS]  # fmt: skip

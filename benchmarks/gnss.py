@@ -71,8 +71,8 @@ def motion(random: np.random.Generator, kind: str) -> tuple[Floats, Rotation]:
     if kind == "drone":
         waves = ((6.0, 25.0), (6.0, 25.0), (8.0, 6.0))
         positions = np.stack([smooth(random, count, *wave) for wave in waves], axis=1)
-        turns = ((8.0, 1.5), (1.5, 0.12), (1.5, 0.12))
-        angles = np.stack([smooth(random, count, *turn) for turn in turns], axis=1)
+        rotations = ((8.0, 1.5), (1.5, 0.12), (1.5, 0.12))
+        angles = np.stack([smooth(random, count, *rotation) for rotation in rotations], axis=1)
         return positions, Rotation.from_euler("ZYX", angles)
     speed = np.clip(9.0 + smooth(random, count, 15.0, 3.0), 0.5, None)
     yaw = np.cumsum(smooth(random, count, 6.0, 0.12)) / RATE_HZ
@@ -90,16 +90,16 @@ def drifted(
     count = len(positions)
     heading, scale, walk = (times * item for item in DRIFT)
     yaw = np.cumsum(random.standard_normal(count)) * np.radians(heading) / np.sqrt(RATE_HZ)
-    turned = Rotation.from_euler("Z", yaw[:, None])
+    rotated = Rotation.from_euler("Z", yaw[:, None])
     steps = np.diff(positions, axis=0, prepend=positions[:1])
     walks = np.cumsum(random.standard_normal((count, 3)), axis=0) * walk / np.sqrt(RATE_HZ)
-    path = (1.0 + scale * random.standard_normal()) * np.cumsum(turned.apply(steps), axis=0)
+    path = (1.0 + scale * random.standard_normal()) * np.cumsum(rotated.apply(steps), axis=0)
     frame = Rotation.from_euler("Z", random.uniform(-np.pi, np.pi))
     tilt = np.zeros((count, 3))
     tilt[:, 0], tilt[:, 1] = (smooth(random, count, 20.0, 0.002 * times) for _ in range(2))
     return (
         frame.apply(path + walks * [1.0, 1.0, 0.7]),
-        frame * turned * Rotation.from_rotvec(tilt) * attitudes,
+        frame * rotated * Rotation.from_rotvec(tilt) * attitudes,
     )
 
 
@@ -116,7 +116,7 @@ def draws_of(
 
     The gate is as far below, so that it leaves out the same fixes.
     """
-    receiver, found = RECEIVERS[grade], []
+    receiver, result = RECEIVERS[grade], []
     protocol = Protocol(gauge="yaw", lengths=(), lever_m=ANTENNA_M)
     rule = FixRule(
         datum=SITE,
@@ -126,9 +126,9 @@ def draws_of(
     for number in range(trajectories):
         random = np.random.default_rng([number, kind == "car", quality == "good"])
         positions, attitudes = motion(random, kind)
-        path, turned = drifted(random, positions, attitudes, TIMES[quality])
+        path, rotated = drifted(random, positions, attitudes, TIMES[quality])
         stamps = np.arange(len(path)) * round(NANOSECONDS / RATE_HZ) + 10**18
-        estimate = Trajectory(stamps, path, turned.as_quat(), name="estimate")
+        estimate = Trajectory(stamps, path, rotated.as_quat(), name="estimate")
         antenna = positions + attitudes.apply(ANTENNA_M)
         true_m = rmse(positions, path)
         for draw in range(draws):
@@ -150,8 +150,8 @@ def draws_of(
             pairs = outcome.evaluation.association
             paired = np.searchsorted(stamps, pairs.groundtruth.stamps)
             here_m = rmse(antenna[paired], pairs.estimate.positions)
-            found.append(Draw(true_m, here_m, ate.rmse, own.ate_m, own.interval_m, own.resolved))
-    return found
+            result.append(Draw(true_m, here_m, ate.rmse, own.ate_m, own.interval_m, own.resolved))
+    return result
 
 
 def row_of(name: str, found: list[Draw]) -> str:
@@ -183,8 +183,8 @@ def main() -> None:
     for grade, claimed, kind, quality in product(RECEIVERS, CLAIMED, DURATION_S, TIMES):
         name = f"{quality} {kind}, {grade}{CLAIMED[claimed]}"
         if given.only in name:
-            found = draws_of(kind, quality, grade, claimed, given.trajectories, given.draws)
-            print(row_of(name, found), flush=True)
+            result = draws_of(kind, quality, grade, claimed, given.trajectories, given.draws)
+            print(row_of(name, result), flush=True)
 
 
 if __name__ == "__main__":

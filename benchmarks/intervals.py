@@ -75,7 +75,7 @@ def flown(motion: str, noise: str, size_m: float, seed: int) -> list[Found]:
     truth = path(times)
     fitted = fit_trajectory(groundtruth, noise=Noise(position_m=size_m))
     belief = fitted.at(_stamps(times))
-    found = []
+    result = []
     for error_m, walks in ESTIMATES:
         estimate = truth + _errors(times, error_m, random, walks=walks)
         ate = uncertain_ate(
@@ -88,8 +88,8 @@ def flown(motion: str, noise: str, size_m: float, seed: int) -> list[Found]:
         )
         aligned = align(Gauge.SE3, truth, estimate).similarity.positions(estimate)
         rmse = float(np.sqrt(np.square(aligned - truth).sum(axis=1).mean()))
-        found.append(Found(rmse, ate.interval_m))
-    return found
+        result.append(Found(rmse, ate.interval_m))
+    return result
 
 
 def cells() -> Iterator[tuple[str, str, float]]:
@@ -194,9 +194,9 @@ def main() -> None:
             columns, withheld = "", 0
             for size_m in SIZES_M:
                 seeds = range(options.first_seed, options.first_seed + options.flights)
-                found = [item for seed in seeds for item in flown(motion, noise, size_m, seed)]
-                known = [item for item in found if item.interval_m is not None]
-                withheld += len(found) - len(known)
+                result = [item for seed in seeds for item in flown(motion, noise, size_m, seed)]
+                known = [item for item in result if item.interval_m is not None]
+                withheld += len(result) - len(known)
                 covered = 100.0 * np.mean([item.covers for item in known])
                 columns += f" {covered:.0f} % | {np.median([item.width for item in known]):.2f} |"
             print(f"| {motion} | {noise} |{columns} {withheld} |", flush=True)

@@ -68,11 +68,11 @@ def angles_deg(rotation: Array, truth: Array, other: Array) -> Array:
     w = np.sqrt(1.0 + np.trace(rotation)) / 2.0
     a, b, c = (rotation - rotation.T)[[2, 0, 1], [1, 2, 0]] / (4.0 * w)
     left = np.array([[w, -c, b, a], [c, w, -a, b], [-b, a, w, c], [-a, -b, -c, w]])
-    turned = other @ left.T
-    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    rotated = other @ left.T
+    rotated /= np.linalg.norm(rotated, axis=1)[:, None]
     # Of q and -q the nearer one; differences keep the digits of small angles.
-    apart = np.linalg.norm(truth - turned, axis=1)
-    together = np.linalg.norm(truth + turned, axis=1)
+    apart = np.linalg.norm(truth - rotated, axis=1)
+    together = np.linalg.norm(truth + rotated, axis=1)
     angles: Array = 4.0 * np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
     return np.degrees(angles)
 
@@ -89,8 +89,8 @@ def main() -> None:
     p, q, truth, other = p[truth_rows], q[rows], truth[truth_rows], other[rows]
     rotation, moved = aligned(p, q)
     truth /= np.linalg.norm(truth, axis=1)[:, None]
-    found = rmse(np.linalg.norm(p - moved, axis=1)), rmse(angles_deg(rotation, truth, other))
-    print(json.dumps(dict(zip(("position_m", "rotation_deg"), found, strict=True))))
+    result = rmse(np.linalg.norm(p - moved, axis=1)), rmse(angles_deg(rotation, truth, other))
+    print(json.dumps(dict(zip(("position_m", "rotation_deg"), result, strict=True))))
 
 
 if __name__ == "__main__":

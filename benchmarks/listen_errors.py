@@ -52,8 +52,8 @@ def main() -> None:
     now = time.time_ns()
     periods_s = [1e-9 * np.diff([*item, now]).max() for item in received]
     p50, p95, most = np.percentile(ages_s, (50, 95, 100))
-    found = {"p50_ms": 1e3 * p50, "p95_ms": 1e3 * p95, "max_ms": 1e3 * most}
-    print(json.dumps({**found, "errors": len(ages_s), "oldest_ate_s": max(periods_s)}))
+    result = {"p50_ms": 1e3 * p50, "p95_ms": 1e3 * p95, "max_ms": 1e3 * most}
+    print(json.dumps({**result, "errors": len(ages_s), "oldest_ate_s": max(periods_s)}))
     node.destroy_node()
     rclpy.try_shutdown()
 

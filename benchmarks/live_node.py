@@ -163,14 +163,14 @@ def freshness(seconds: float) -> None:
             ) as listener,
         ):
             before, begin = cpu_s(node.pid), time.monotonic()
-            found = json.loads(listener.communicate()[0])
+            result = json.loads(listener.communicate()[0])
             share = (cpu_s(node.pid) - before) / (time.monotonic() - begin)
         limit = f" (limit {stamped_ms:g})" if stamped_ms else ""
         print(
             f"groundtruth {groundtruth_hz} Hz, {estimates} x odometry {hz} Hz, {processes} busy "
-            f"processes: stamp to published error median {found['p50_ms']:.0f} ms, p95 "
-            f"{found['p95_ms']:.0f} ms{limit}, largest {found['max_ms']:.0f} ms; ATE at most "
-            f"{found['oldest_ate_s']:.2f} s old (limit {ate_s:g}); {100 * share:.1f} % of a core",
+            f"processes: stamp to published error median {result['p50_ms']:.0f} ms, p95 "
+            f"{result['p95_ms']:.0f} ms{limit}, largest {result['max_ms']:.0f} ms; ATE at most "
+            f"{result['oldest_ate_s']:.2f} s old (limit {ate_s:g}); {100 * share:.1f} % of a core",
             flush=True,
         )
 
@@ -257,16 +257,16 @@ def main() -> None:
         soak(options.soak, SOAK_SPEED)
         return
     for groundtruth_hz, odometry_hz, estimates, limit in LOADS:
-        found = [
+        result = [
             measure(groundtruth_hz, odometry_hz, estimates, options.seconds, options.rerun)
             for _ in range(options.runs)
         ]
-        median = {key: statistics.median(item[key] for item in found) for key in found[0]}
+        median = {key: statistics.median(item[key] for item in result) for key in result[0]}
         allowed = f" (of {limit:g})" if limit else ""
         print(
             f"groundtruth {groundtruth_hz} Hz, {estimates} x odometry {odometry_hz} Hz: "
             f"{median['cpu_percent']:.1f} %{allowed} of a core, "
-            f"{max(item['lost'] for item in found):.0f} lost at most, "
+            f"{max(item['lost'] for item in result):.0f} lost at most, "
             f"latency p95 {median['latency_p95_ms']:.1f} ms, "
             f"picture {median['picture_kb_per_s']:.1f} kB/s",
             flush=True,

@@ -110,14 +110,14 @@ def main() -> None:
     few = config.with_name("few.yaml")
     text = config.read_text()
     few.write_text(f"{text[: text.index('trials:')]}trials: [0]\n")
-    found: dict[str, Any] = {"load_before": os.getloadavg()}
+    result: dict[str, Any] = {"load_before": os.getloadavg()}
     for name, costs in results(config, few, options.data / "out"):
         print(name, {key: round(value, 2) for key, value in costs.items()}, flush=True)
-        found[name] = costs
-    loop, alone, two = (found[how] for how in (LOOP, ALONE, TWO))
+        result[name] = costs
+    loop, alone, two = (result[how] for how in (LOOP, ALONE, TWO))
     count = two["runs"]
     busy = (two["cpu_s"] + two["workers_cpu_s"]) / 2.0
-    print(f"load before {found['load_before']}")
+    print(f"load before {result['load_before']}")
     print(f"2 workers are {alone['wall_s'] / two['wall_s']:.2f}x one process")
     print(f"by CPU time alone, two idle cores would be {alone['cpu_s'] / busy:.2f}x one process, "
           f"{loop['cpu_s'] / busy:.2f}x a bare loop")  # fmt: skip

@@ -201,13 +201,13 @@ def compare_pair(
     programs: Programs, pair: str, files: Mapping[str, str]
 ) -> dict[tuple[str, str], Difference | str]:
     """Run both programs with all options on one pair."""
-    found: dict[tuple[str, str], Difference | str] = {}
+    result: dict[tuple[str, str], Difference | str] = {}
     for options, (_, errors) in CALLS.items():
-        ours = programs.ours(files, options)
+        actual = programs.ours(files, options)
         for error in errors:
             evos = programs.evo(files, options, error)
-            found[options, error] = compare(pair, (options, error), ours, evos)
-    return found
+            result[options, error] = compare(pair, (options, error), actual, evos)
+    return result
 
 
 def cell(found: Difference | str) -> str:
@@ -227,11 +227,11 @@ def report(
     for options, error in COLUMNS:
         heading = f"{options.removeprefix('--align_') or 'none'}\n{UNITS[error]}"
         table.add_column(heading, justify="right", no_wrap=True, min_width=9)
-    for pair, found in results.items():
-        table.add_row(pair, *(cell(found[column]) for column in COLUMNS))
+    for pair, result in results.items():
+        table.add_row(pair, *(cell(result[column]) for column in COLUMNS))
     console.print("largest difference by pair and evo's options; ! too much, - withheld")
     console.print(table)
-    flat = [(pair, item) for pair, found in results.items() for item in found.values()]
+    flat = [(pair, item) for pair, result in results.items() for item in result.values()]
     differences = [item for _, item in flat if isinstance(item, Difference)]
     refusals = [
         f"{pair}: {item}"

@@ -51,8 +51,8 @@ def matrices(q: Array) -> Array:
     cross = np.cross(v[:, None, :], np.eye(3)[None])  # rows are v x e_i: the transpose of [v]x
     outer = v[:, :, None] * v[:, None, :]
     dot = np.sum(v * v, axis=1)[:, None, None]
-    turned: Array = (w * w - dot) * np.eye(3) + 2.0 * outer + 2.0 * w * np.swapaxes(cross, 1, 2)
-    return turned
+    rotated: Array = (w * w - dot) * np.eye(3) + 2.0 * outer + 2.0 * w * np.swapaxes(cross, 1, 2)
+    return rotated
 
 
 def flight(stamps: Stamps, size: float = 4.0, period_s: float = 17.0) -> Poses:

@@ -29,10 +29,10 @@ def simulated_pair(count: int) -> tuple[Trajectory, Trajectory]:
     random = np.random.default_rng(count)
     stamps = np.arange(count, dtype=np.int64) * int(1e9 / RATE_HZ)
     positions, attitudes = flight(random, count)
-    moved, turned = estimate_of(random, positions, attitudes)
+    moved, rotated = estimate_of(random, positions, attitudes)
     return (
         Trajectory.from_columns(stamps, positions, attitudes.as_quat()),
-        Trajectory.from_columns(stamps, moved, turned.as_quat()),
+        Trajectory.from_columns(stamps, moved, rotated.as_quat()),
     )
 
 

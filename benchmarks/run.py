@@ -150,8 +150,8 @@ def compare_with_evo(options: argparse.Namespace, count: int, env: Environment) 
         options.runs,
         env,
     )
-    ours = costs[TRAJEVAL]
-    check_agreement(ours, costs[EVO_BOTH])
+    actual = costs[TRAJEVAL]
+    check_agreement(actual, costs[EVO_BOTH])
     return rows_beside(f"ATE, {count // 1000}k poses", TRAJEVAL, costs)
 
 
@@ -176,9 +176,9 @@ def compare_with_limit(options: argparse.Namespace, count: int, env: Environment
     )
     ate = json.loads(costs[TRAJEVAL].output)["runs"][0]["ate"]
     for metric, theirs in json.loads(costs[BARE].output).items():
-        ours = ate[metric]["rmse"]
-        if abs(ours - theirs) > 1e-9 * theirs:
-            raise DisagreementError(f"rmse of {metric}: {ours}, bare script {theirs}")
+        actual = ate[metric]["rmse"]
+        if abs(actual - theirs) > 1e-9 * theirs:
+            raise DisagreementError(f"rmse of {metric}: {actual}, bare script {theirs}")
     return rows_beside(f"ATE, {count // 1000}k poses", BARE, costs)
 
 
@@ -300,14 +300,14 @@ def continuous_part(
     jobs = {f"{work}, {count // 1000}k": _continuous(work, count) for work, count in CONTINUOUS}
     costs = interleave(jobs, options.runs, {**env, "OPENBLAS_NUM_THREADS": "1"})
     table = Table("work", "CPU s inside", "peak MiB", box=box.SIMPLE_HEAD)
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for work, cost in costs.items():
         inside = json.loads(cost.output)
-        found[work] = inside | {"peak_mib": cost.peak_mib}
+        result[work] = inside | {"peak_mib": cost.peak_mib}
         seconds = ", ".join(f"{name[:-2]} {value:.2f}" for name, value in inside.items())
         table.add_row(work, seconds, f"{cost.peak_mib:.0f}")
     console.print(table)
-    return {"continuous": found}
+    return {"continuous": result}
 
 
 def _continuous(work: str, count: int) -> Job:
@@ -329,11 +329,11 @@ def estimator_part(
 ) -> dict[str, Any]:
     """Compare an iteration of the visual-inertial estimator with GTSAM's, in its environment."""
     command = [str(options.oracles), "-m", "benchmarks.estimators", str(options.runs)]
-    found = json.loads(run(command, {**env, "OPENBLAS_NUM_THREADS": "1"}).output)
+    result = json.loads(run(command, {**env, "OPENBLAS_NUM_THREADS": "1"}).output)
     table = Table("keyframes", "visibility", box=box.SIMPLE_HEAD, title="CPU ms per iteration")
     for heading in ("observations", "ours", "GTSAM", "x"):
         table.add_column(heading, justify="right")
-    for row in found["rows"]:
+    for row in result["rows"]:
         table.add_row(
             str(row["keyframes"]),
             row["visibility"],
@@ -343,7 +343,7 @@ def estimator_part(
             f"{row['ratio']:.2f}",
         )
     console.print(table)
-    return {"estimator": found}
+    return {"estimator": result}
 
 
 def main() -> None:

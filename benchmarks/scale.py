@@ -171,7 +171,7 @@ def main() -> None:
         )
         print(json.dumps(costs))
         return
-    found: dict[int, dict[str, dict[str, Any]]] = {}
+    result: dict[int, dict[str, dict[str, Any]]] = {}
     print(f"load before {os.getloadavg()}", flush=True)
     with cluster(options.dask_workers) as address:
         for count in map(int, options.runs.split(",")):
@@ -180,13 +180,13 @@ def main() -> None:
             config = write_runs(file, SEQUENCES, trials, POSES, settings)
             out = options.data / "out"
             shutil.rmtree(out, ignore_errors=True)
-            found[count] = {}
+            result[count] = {}
             for name, costs in steps_of(config, out, options.workers, address):
-                found[count][name] = costs
+                result[count][name] = costs
                 shown = {key: round(value, 2) for key, value in costs.items()}
                 print(count, name, shown, flush=True)
             shutil.rmtree(out)
-    report_on(found)
+    report_on(result)
     print(f"load after {os.getloadavg()}")
 
 

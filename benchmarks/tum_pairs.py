@@ -56,8 +56,8 @@ def estimate_of(
     noise = Rotation.from_rotvec(random.normal(scale=np.radians(0.1), size=(count, 3)))
     frame = Rotation.from_rotvec([0.1, -0.2, 1.0])
     drifted = positions + position_drift + random.normal(scale=0.005, size=(count, 3))
-    turned = Rotation.from_rotvec(yaw_drift[:, None] * [0.0, 0.0, 1.0]) * attitudes * noise
-    return frame.apply(drifted) + [3.0, -2.0, 1.0], frame * turned
+    rotated = Rotation.from_rotvec(yaw_drift[:, None] * [0.0, 0.0, 1.0]) * attitudes * noise
+    return frame.apply(drifted) + [3.0, -2.0, 1.0], frame * rotated
 
 
 def write_tum(

@@ -113,12 +113,12 @@ def halved(name: str, run: WatchedRun, factor: float) -> Healthy:
 
 def _of(signals: Signals, needs: str, since_s: float) -> dict[str, Readings]:
     """Return the readings of one set from a time on."""
-    found = {}
+    result = {}
     for name, (seconds, values) in signals.items():
         if source_of(name) == needs:
             rows = seconds >= since_s
-            found[name] = Readings(seconds[rows], values[rows])
-    return found
+            result[name] = Readings(seconds[rows], values[rows])
+    return result
 
 
 def delays(
@@ -155,7 +155,7 @@ def detections(
 ) -> dict[str, dict[str, list[float | None]]]:
     """Return the delays of each fault by set; None where it wasn't found."""
     generator = np.random.default_rng(_SEED)
-    found: dict[str, dict[str, list[float | None]]] = {
+    result: dict[str, dict[str, list[float | None]]] = {
         fault: {label: [] for label in SETS} for fault in FAULTS
     }
     for half in halves:
@@ -169,8 +169,8 @@ def detections(
                 while fault in LOST and not _moves(half.run.estimate, onset):
                     onset = int(generator.integers(half.middle, latest))
                 for label, delay in delays(half, fault, onset, generator, factor).items():
-                    found[fault][label].append(delay)
-    return found
+                    result[fault][label].append(delay)
+    return result
 
 
 def _cell(delays_s: list[float | None]) -> str:
@@ -216,8 +216,8 @@ def main() -> None:
     flown = {name: simulated(name, arguments.seed, _FAULTY_S) for name in MOTIONS}
     for title, given in (("recorded", recorded), ("simulated", flown)):
         halves = [halved(name, run, factor) for name, run in given.items()]
-        found = detections(halves, factor, arguments.onsets)
-        table = [[fault, *map(_cell, by_set.values())] for fault, by_set in found.items()]
+        result = detections(halves, factor, arguments.onsets)
+        table = [[fault, *map(_cell, by_set.values())] for fault, by_set in result.items()]
         print(f"\nFaults in {title} runs, within {HORIZON_S:g} s, median delay:\n")
         print("\n".join(markdown_table(["fault", *SETS], table)))
 

@@ -35,8 +35,8 @@ def filtered(values: Floats, sigma_s: float) -> Floats:
     kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) * _DT / sigma_s) ** 2)
     padded = np.pad(values, [(radius, radius)] + [(0, 0)] * (values.ndim - 1), mode="edge")
     shape = (-1,) + (1,) * (values.ndim - 1)
-    found: Floats = oaconvolve(padded, (kernel / kernel.sum()).reshape(shape), "valid", axes=0)
-    return found
+    result: Floats = oaconvolve(padded, (kernel / kernel.sum()).reshape(shape), "valid", axes=0)
+    return result
 
 
 def smooth(
@@ -44,8 +44,8 @@ def smooth(
 ) -> Floats:
     """Return smooth noise (N,), or (N, axes), of a correlation time and standard deviation."""
     noise = filtered(generator.normal(size=(count, axes)), correlation_s)
-    found: Floats = sigma * noise / noise.std(axis=0)
-    return found[:, 0] if axes == 1 else found
+    result: Floats = sigma * noise / noise.std(axis=0)
+    return result[:, 0] if axes == 1 else result
 
 
 def _drive(speed: Floats, yaw: Floats) -> Floats:
@@ -192,16 +192,16 @@ def simulated(name: str, seed: int, duration_s: float) -> WatchedRun:
     times = np.arange(0.0, duration_s + 2.0 * _CUT_S, _DT)
     path, angles = motion(generator, times)
     inner = slice(int(_CUT_S * RATE_HZ), -int(_CUT_S * RATE_HZ))
-    path, turns = path[inner] - path[inner][0], Rotation.from_euler("ZYX", angles[inner])
+    path, rotations = path[inner] - path[inner][0], Rotation.from_euler("ZYX", angles[inner])
     wheeled = motion is planar
-    own = _estimate(path, turns, generator, 50.0 if wheeled else 25.0, 1.0, wheeled=wheeled)
-    other = _estimate(path, turns, generator, 20.0, 1.5, wheeled=False)
+    own = _estimate(path, rotations, generator, 50.0 if wheeled else 25.0, 1.0, wheeled=wheeled)
+    other = _estimate(path, rotations, generator, 20.0, 1.5, wheeled=False)
     assert other.quaternions is not None
     at = Rotation.from_quat(other.quaternions)
     partner = Trajectory(
         other.stamps, other.positions + at.apply(LEVER_M), (at * BODY).as_quat(), name="second"
     )
-    return WatchedRun(own, _imu(path, turns, generator, vibration), {PAIR: partner})
+    return WatchedRun(own, _imu(path, rotations, generator, vibration), {PAIR: partner})
 
 
 def _imu(
@@ -247,14 +247,14 @@ def _estimate(
     def wandering(correlation_s: float, sigma: float, axes: int) -> Floats:
         decay = np.exp(-dt / correlation_s)
         noise = generator.normal(size=(count, axes)) * sigma * np.sqrt(1.0 - decay**2)
-        found: Floats = lfilter([1.0], [1.0, -decay], noise, axis=0)
-        return found
+        result: Floats = lfilter([1.0], [1.0, -decay], noise, axis=0)
+        return result
 
     steps = np.diff(path[rows], axis=0)
     moved = np.linalg.norm(steps, axis=1)
-    turned = np.linalg.norm((turns[rows[:-1]].inv() * turns[rows[1:]]).as_rotvec(), axis=1)
+    rotated = np.linalg.norm((turns[rows[:-1]].inv() * turns[rows[1:]]).as_rotvec(), axis=1)
     walks = heavy(count - 1) * np.radians(0.02 * worse) * np.sqrt(dt) * (moved > 1e-5)
-    walks += heavy(count - 1) * 0.004 * worse * np.sqrt(turned * np.radians(1.0))
+    walks += heavy(count - 1) * 0.004 * worse * np.sqrt(rotated * np.radians(1.0))
     yaw = np.outer(np.concatenate([[0.0], np.cumsum(walks)]), [0.0, 0.0, 1.0])
     tilt = np.column_stack([wandering(8.0, np.radians(0.15 * worse), 2), np.zeros(count)])
     off = Rotation.from_rotvec(yaw) * Rotation.from_rotvec(tilt)

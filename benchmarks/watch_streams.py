@@ -64,38 +64,38 @@ def streams(data: Path) -> dict[str, WatchedRun]:
             [euroc / "vins_mono/MH_01.csv", euroc / "openvins/MH_01_with_covariance.csv"]
         )
     )
-    found = {
+    result = {
         f"vio_mono/{name}": WatchedRun(item[_SKIPPED:], imu=imus[name])
         for name, item in zip(flights, mono, strict=True)
     }
-    found["vio_mono/MH_01"] = replace(found["vio_mono/MH_01"], partners={PAIR: openvins})
-    found["vins_mono/MH_01"] = WatchedRun(vins, imu=imus["MH_01"], partners={PAIR: openvins})
-    found["openvins/MH_01"] = WatchedRun(openvins, imu=imus["MH_01"], partners={PAIR: vins})
+    result["vio_mono/MH_01"] = replace(result["vio_mono/MH_01"], partners={PAIR: openvins})
+    result["vins_mono/MH_01"] = WatchedRun(vins, imu=imus["MH_01"], partners={PAIR: openvins})
+    result["openvins/MH_01"] = WatchedRun(openvins, imu=imus["MH_01"], partners={PAIR: vins})
     nav2 = str(data / "bags/nav2_turtlebot.mcap")
-    found["nav2/odom"] = read_watched(f"{nav2}:/odom", partners={PAIR: f"{nav2}:/amcl_pose"})
+    result["nav2/odom"] = read_watched(f"{nav2}:/odom", partners={PAIR: f"{nav2}:/amcl_pose"})
     husky = str(data / "gnss/husky_outdoor.bag")
-    found["husky/odom"] = read_watched(husky, f"{husky}:/imu/data")
+    result["husky/odom"] = read_watched(husky, f"{husky}:/imu/data")
     example = str(data / "bags/ROS_example.bag")
     for own, other in (("ORB-SLAM", "S-PTAM"), ("S-PTAM", "ORB-SLAM")):
         run = read_watched(f"{example}:/{own}", partners={PAIR: f"{example}:/{other}"})
-        found[f"ros_example/{own}"] = run
-    found.update(_of_real_estimators(data / "real_estimators"))
-    return found
+        result[f"ros_example/{own}"] = run
+    result.update(_of_real_estimators(data / "real_estimators"))
+    return result
 
 
 def _of_real_estimators(folder: Path) -> dict[str, WatchedRun]:
     """Return lidar odometry, and pairs of OpenVINS with and without FEJ on a simulated flight."""
-    found = {}
+    result = {}
     lidar = f"{folder}/lidar/lockstep/bag"
     for own, other in (("small_gicp", "kiss_icp"), ("kiss_icp", "rko_lio")):
         partner = {PAIR: f"{lidar}:/{other}/odometry"}
-        found[f"lidar/{own}"] = read_watched(f"{lidar}:/{own}/odometry", partners=partner)
+        result[f"lidar/{own}"] = read_watched(f"{lidar}:/{own}/odometry", partners=partner)
     both = [np.load(folder / f"openvins_simulation/stereo_fej_{way}.npz") for way in ("on", "off")]
     for run, seed in enumerate(both[0]["seeds"].tolist()):
         on, off = (_columns(item["stamps_ns"], item["estimate"][run]) for item in both)
         imu = imu_of(_columns(both[0]["stamps_ns"], both[0]["truth"]), seed)
-        found[f"openvins/simulated {seed}"] = WatchedRun(on, imu, {PAIR: off})
-    return found
+        result[f"openvins/simulated {seed}"] = WatchedRun(on, imu, {PAIR: off})
+    return result
 
 
 def _columns(stamps: Stamps, rows: Floats) -> Trajectory:

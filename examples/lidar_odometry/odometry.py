@@ -77,7 +77,7 @@ class SmallGicp:
         still = undistorted(points, after, self._step)
         cloud, _ = self._gicp.preprocess_points(still, 0.25, num_threads=1)
         if self._map.size():
-            found = self._gicp.align(
+            result = self._gicp.align(
                 self._map,
                 cloud,
                 self._pose @ self._step,
@@ -85,8 +85,8 @@ class SmallGicp:
                 max_iterations=20,
                 num_threads=1,
             ).T_target_source
-            self._step = np.linalg.inv(self._pose) @ found
-            self._pose = found
+            self._step = np.linalg.inv(self._pose) @ result
+            self._pose = result
         self._map.insert(cloud, self._pose)
         return self._pose
 
@@ -100,8 +100,8 @@ def undistorted(points: Floats, after: Floats, step: Floats) -> Floats:
         step: Motion of the body during a sweep, (4, 4); its velocity is taken as constant.
     """
     left = (after / PERIOD_S - 1.0)[:, None]
-    turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()
-    return np.asarray(Rotation.from_rotvec(left * turn).apply(points) + left * step[:3, 3])
+    rotation = Rotation.from_matrix(step[:3, :3]).as_rotvec()
+    return np.asarray(Rotation.from_rotvec(left * rotation).apply(points) + left * step[:3, 3])
 
 
 def estimator_of(name: str) -> Estimator:

@@ -49,12 +49,12 @@ def test_changed_ranks_are_marked_and_gates_test_the_numbers(
     output = tmp_path / "out"
     arguments = ["compare", "--figures", "0", str(config), "--output", str(output)]
     assert main(arguments) == 0
-    said = capsys.readouterr().out
-    assert "As-available error [m], RMSE" in said
-    assert said.count("ATE: 1") == 1
-    assert said.count("ATE: 2") == 2  # also in the caption
+    text = capsys.readouterr().out
+    assert "As-available error [m], RMSE" in text
+    assert text.count("ATE: 1") == 1
+    assert text.count("ATE: 2") == 2  # also in the caption
     for title in ("Age error [m], RMSE", "Age of the pose in use [s]", "Available [%]"):
-        assert title in said
+        assert title in text
     baseline = tmp_path / "main.parquet"
     (output / "runs.parquet").rename(baseline)
     gate = ["--baseline", str(baseline), "--fail-if"]

@@ -208,7 +208,7 @@ def test_runs_without_common_time_say_so(tmp_path: Path) -> None:
 
 def test_the_caption_states_the_association(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=1, sequences=["hall"])
-    for options, said in (
+    for options, text in (
         (
             {},
             "groundtruth interpolated (for points and fixes the estimate), gaps up to 0.5 s.",
@@ -218,7 +218,7 @@ def test_the_caption_states_the_association(tmp_path: Path) -> None:
     ):
         run_plan(plan_of(config, options), tmp_path / "out", here)
         caption = matrices(summary_of(tmp_path / "out"))[0].caption
-        assert f"gauge se3, all states; {said}" in caption
+        assert f"gauge se3, all states; {text}" in caption
 
 
 def test_the_trial_of_a_figure_is_named(tmp_path: Path) -> None:
@@ -354,14 +354,14 @@ def test_a_folder_that_can_not_be_written_loses_nothing(
 
 
 def test_tables_that_are_none_are_refused(tmp_path: Path) -> None:
-    for name, content, said in (
+    for name, content, text in (
         ("half", b"PAR1 and then the disk was full", "not a complete Parquet file"),
         ("none", None, "does not exist"),
     ):
         path = tmp_path / f"{name}.parquet"
         if content is not None:
             path.write_bytes(content)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=text):
             ResultsTable(path)
     other = tmp_path / "other.parquet"
     pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), other)
@@ -371,14 +371,14 @@ def test_tables_that_are_none_are_refused(tmp_path: Path) -> None:
 
 def test_usage_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = str(write_runs(tmp_path))
-    for arguments, said in (
+    for arguments, text in (
         (["--workers", "2", "--cluster", "tcp://127.0.0.1:1"], "give one of them"),
         (["--workers", "0"], "workers"),
         (["--gauge", "yaww"], "unknown gauge 'yaww'"),
     ):
         assert main(["compare", config, *arguments]) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert said in line
+        assert text in line
 
 
 def record_of(errors: dict[str, np.ndarray], sizes: dict[str, float | None]) -> Record:

@@ -71,10 +71,10 @@ def test_settings_are_those_of_evaluate_and_the_command_line_comes_first(tmp_pat
     assert written.request.protocol.association.max_gap_s == 1.0
     assert [str(length) for length in written.request.protocol.lengths] == ["4m", "8m"]
     assert written.common_time_span
-    said = plan_of(config, {"gauge": "yaw", "lengths": "10%", "common_time_span": False})
-    assert said.request.protocol.gauge is Gauge.YAW
-    assert str(said.request.protocol.lengths[0]) == "10%"
-    assert not said.common_time_span
+    text = plan_of(config, {"gauge": "yaw", "lengths": "10%", "common_time_span": False})
+    assert text.request.protocol.gauge is Gauge.YAW
+    assert str(text.request.protocol.lengths[0]) == "10%"
+    assert not text.common_time_span
 
 
 def test_a_protocol_can_be_a_file_beside_the_comparison(tmp_path: Path) -> None:
@@ -129,8 +129,8 @@ def test_the_toolboxs_folders(tmp_path: Path) -> None:
                 suffix = trial if trials > 1 else ""
                 write_run(folder / f"stamped_traj_estimate{suffix}.txt", 1.01)
     write_run(folder / "stamped_pose_graph_estimate.txt", 1.01)
-    found = [run.name for run in plan(tmp_path).runs if not run.missing]
-    assert found == [
+    result = [run.name for run in plan(tmp_path).runs if not run.missing]
+    assert result == [
         "slam traj_est MH_01", "slam traj_est MH_05", "slam pose_graph MH_05",
         "vio traj_est MH_01 0", "vio traj_est MH_01 1",
         "vio traj_est MH_05 0", "vio traj_est MH_05 1",
@@ -187,11 +187,11 @@ def test_the_toolboxs_start_and_end_are_those_of_the_groundtruth(tmp_path: Path)
     runs = {run.sequence: run for run in plan(tmp_path).runs}
     assert runs["whole"].time_span is None
     assert runs["part"].time_span == TimeSpan.parse("@12.25", "@20")
-    found = plan(tmp_path)
-    assert found.request_of(runs["part"]).time_span == TimeSpan.parse("@12.25", "@20")
-    assert found.request_of(runs["whole"]) == found.request
-    said = plan_of(tmp_path, {"start": "3"})
-    assert said.request_of(runs["part"]).time_span == TimeSpan.parse("3", None)
+    result = plan(tmp_path)
+    assert result.request_of(runs["part"]).time_span == TimeSpan.parse("@12.25", "@20")
+    assert result.request_of(runs["whole"]) == result.request
+    message = plan_of(tmp_path, {"start": "3"})
+    assert message.request_of(runs["part"]).time_span == TimeSpan.parse("3", None)
     times.write_text("end_time_sec: 15.5\n")
     (run,) = (run for run in plan(tmp_path).runs if run.sequence == "part")
     assert run.time_span == TimeSpan.parse(None, "@15.5")
@@ -356,9 +356,9 @@ def test_each_file_of_runs_is_checked_and_the_command_line_names_hosts(
         main(["compare", "--figures", "0", str(config), *out, "--allow-remote", "nosuch://bucket"])
         == 2
     )
-    said = capsys.readouterr().err
-    assert "--allow-remote" not in said
-    assert "nosuch://bucket/" in said
+    text = capsys.readouterr().err
+    assert "--allow-remote" not in text
+    assert "nosuch://bucket/" in text
     assert not (tmp_path / "out").exists()
 
 
@@ -387,8 +387,8 @@ def test_columns_of_all_algorithms_and_the_command_line_comes_first(tmp_path: Pa
         file.write("columns: t_s x y z qx qy qz qw\nframe_rate: 10\n")
     hints = {run.hints for run in plan(config).runs}
     assert hints == {SideHints.of("t_s x y z qx qy qz qw", 10.0)}
-    said = plan_of(config, {"columns": "t x y z _ _ _ _", "frame_rate": 5.0})
-    assert {run.hints for run in said.runs} == {SideHints.of("t x y z _ _ _ _", 5.0)}
+    text = plan_of(config, {"columns": "t x y z _ _ _ _", "frame_rate": 5.0})
+    assert {run.hints for run in text.runs} == {SideHints.of("t x y z _ _ _ _", 5.0)}
 
 
 def test_other_columns_are_another_run(tmp_path: Path) -> None:
@@ -407,8 +407,8 @@ def test_a_folder_s_estimates_have_columns_and_a_rate_as_well(tmp_path: Path) ->
     out = tmp_path / "out"
     columns = ["--columns", "t x y z qw qx qy qz", "--quiet"]
     assert compare(tmp_path, *columns, output=out) == 0
-    (turned,) = ResultsTable(out / RUNS).select(["rmse"], kind="ate", metric="rotation_deg")
-    assert turned["rmse"] == pytest.approx(0.0, abs=1e-4)
+    (rotated,) = ResultsTable(out / RUNS).select(["rmse"], kind="ate", metric="rotation_deg")
+    assert rotated["rmse"] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_files_without_stamps_have_a_rate(tmp_path: Path) -> None:
@@ -439,9 +439,9 @@ def test_keys_that_mean_nothing_are_told_with_the_file(
     tmp_path: Path, line: str, told: str
 ) -> None:
     config = write_runs(tmp_path, trials=1)
-    said = refused(config, f"{config.read_text()}{line}\n")
-    assert str(config) in said
-    assert told in said
+    text = refused(config, f"{config.read_text()}{line}\n")
+    assert str(config) in text
+    assert told in text
 
 
 @pytest.mark.parametrize("platforms", [["laptop"], ["laptop", "board"]])

@@ -82,13 +82,13 @@ def test_who_covers_less_than_the_others_is_never_the_best(tmp_path: Path) -> No
         assert not any(map(any, table.ranks()))
         assert good.marks.split()[-1] == "¶"
         assert "¶" not in bad.marks
-        said = "¶ not ranked: good (covers 50 %)."
-        assert said in table.caption
-        assert said in (out / "tables.md").read_text()
+        message = "¶ not ranked: good (covers 50 %)."
+        assert message in table.caption
+        assert message in (out / "tables.md").read_text()
         assert r"$^\P$ not ranked: good (covers 50 \%)." in to_latex(table)
     text = (out / "report.html").read_text()
     assert "smallest position ATE" not in text
-    assert said in text
+    assert message in text
     assert "Compare only runs with the same coverage: use --common-time-span." in text
     # Where all cover as little, they compare.
     write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=150, seconds=10.0)

@@ -14,9 +14,9 @@ from trajeval_ros.batch.fingerprints import Fingerprints
 def hashed(folder: Path, source: Path) -> str:
     """Hash with what an earlier start stored."""
     memory = Fingerprints(folder / "inputs.json")
-    found = memory.of(str(source))
+    result = memory.of(str(source))
     memory.save()
-    return found
+    return result
 
 
 @pytest.mark.parametrize("name", ["times.txt", "07_times.txt", "07.txt-wal"])

@@ -221,7 +221,7 @@ def test_a_missing_package_is_reported_before_the_evaluation(
     truth = write_run(tmp_path / "truth.txt")
     out = tmp_path / "out"
     assert compare(truth, truth, output=out) == 2
-    said = capsys.readouterr().err
-    assert package in said.lower()
-    assert "pip install" in said
+    text = capsys.readouterr().err
+    assert package in text.lower()
+    assert "pip install" in text
     assert not out.exists()

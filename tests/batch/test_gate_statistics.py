@@ -71,8 +71,8 @@ def test_small_cases_are_those_of_the_enumeration(name: str) -> None:
     samples = samples_of(case)
     assert math.prod(sample.count for sample in samples) == case["relabellings"]
     margins = np.full(len(case["p"]), math.log1p(case.get("margin", 0.0)))
-    found = PermutationTest(samples, margins, 0.05)
-    assert found.worse.together == pytest.approx(case["p_max_t"], abs=1e-12)
+    result = PermutationTest(samples, margins, 0.05)
+    assert result.worse.together == pytest.approx(case["p_max_t"], abs=1e-12)
     # Bounds of the first metric alone, at the level of 5 %.
     first = PermutationTest(samples_of(case, slice(1)), margins[:1], 0.05)
     assert first.worse.together == pytest.approx(case["p"][:1], abs=1e-12)
@@ -136,24 +136,24 @@ def samples(sizes: Sequence[tuple[int, int]], z: Sequence[Floats]) -> list[Sampl
 def test_laws(made: tuple[list[tuple[int, int]], list[Floats]]) -> None:
     """Order of runs and sequences and units change no p; sides exchange the two directions."""
     sizes, z = made
-    found = PermutationTest(samples(sizes, z), np.zeros(2), 0.2)
+    result = PermutationTest(samples(sizes, z), np.zeros(2), 0.2)
     same = PermutationTest(
         samples(sizes[::-1], [np.concatenate([own[:old][::-1], own[old:][::-1]]) + place
                               for place, ((old, _), own) in enumerate(zip(sizes, z, strict=True))
                               ][::-1]),
         np.zeros(2), 0.2)  # fmt: skip
-    assert same.worse.together == pytest.approx(found.worse.together, abs=1e-12)
-    assert same.worse.alone[::-1] == pytest.approx(found.worse.alone, abs=1e-12)
-    assert same.better.together == pytest.approx(found.better.together, abs=1e-12)
+    assert same.worse.together == pytest.approx(result.worse.together, abs=1e-12)
+    assert same.worse.alone[::-1] == pytest.approx(result.worse.alone, abs=1e-12)
+    assert same.better.together == pytest.approx(result.better.together, abs=1e-12)
     swapped = [
         np.concatenate([own[old:], own[:old]]) for (old, _), own in zip(sizes, z, strict=True)
     ]
     other = PermutationTest(samples([(n, m) for m, n in sizes], swapped), np.zeros(2), 0.2)
-    assert other.better.together == pytest.approx(found.worse.together, abs=1e-12)
-    assert other.worse.together == pytest.approx(found.better.together, abs=1e-12)
+    assert other.better.together == pytest.approx(result.worse.together, abs=1e-12)
+    assert other.worse.together == pytest.approx(result.better.together, abs=1e-12)
     for metric in range(2):  # p-values are monotone in the margin's edge, so bounds are ordered
-        if np.isfinite(found.low[metric]):
-            assert found.low[metric] <= found.change[metric] + 1e-9
+        if np.isfinite(result.low[metric]):
+            assert result.low[metric] <= result.change[metric] + 1e-9
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=40), st.floats(-3.0, 3.0))
@@ -219,10 +219,10 @@ def test_single_sequences_and_all_together_share_the_level_exactly() -> None:
 @settings(max_examples=20, deadline=None)
 def test_the_same_trials_on_both_sides_never_alarm(sequences: int, trials: int, seed: int) -> None:
     z = np.random.default_rng(seed).normal(0.0, 0.3, (sequences, trials, 1))
-    found = PermutationTest([Sample(item, item) for item in z], np.zeros(1), FALSE_ALARMS)
-    assert not rejects_together(found.worse).any()
-    assert not rejects_alone(found.worse).any()
-    assert found.worse.together[0] >= 0.49
+    result = PermutationTest([Sample(item, item) for item in z], np.zeros(1), FALSE_ALARMS)
+    assert not rejects_together(result.worse).any()
+    assert not rejects_alone(result.worse).any()
+    assert result.worse.together[0] >= 0.49
 
 
 def test_random_relabellings_have_the_sizes_of_the_sides_and_the_true_ones_first() -> None:
@@ -251,10 +251,10 @@ def test_a_missing_sequence_and_a_missing_metric_change_no_p() -> None:
 
 def test_values_without_spread_are_never_worse() -> None:
     for trials in (1, 4, 10):
-        found = PermutationTest([Sample(np.zeros((trials, 1)), np.zeros((trials, 1)))] * 6,
+        result = PermutationTest([Sample(np.zeros((trials, 1)), np.zeros((trials, 1)))] * 6,
                                 np.array([0.05]), FALSE_ALARMS)  # fmt: skip
-        assert found.worse.together[0] == 1.0
-        assert rejects_together(found.better)[0]
+        assert result.worse.together[0] == 1.0
+        assert rejects_together(result.better)[0]
 
 
 def test_a_zero_counts_as_the_smallest_positive_value() -> None:
@@ -329,11 +329,11 @@ def test_a_detectable_change_is_detected_in_four_of_five(
 
     detectable = [test(0.1).detectable() for _ in range(30)]
     common = float(np.median([item[0][0] for item in detectable]))
-    found = np.mean([rejects_together(test(common).worse)[0] for _ in range(200)])
+    result = np.mean([rejects_together(test(common).worse)[0] for _ in range(200)])
     # 80 %, the deviation of 200 comparisons, and that of the median of 30 detectable changes.
-    assert 0.68 < found < 0.92
+    assert 0.68 < result < 0.92
     one = float(np.median([item[1][0, 0] for item in detectable]))
     assert math.isfinite(one) == (size == (5, 5))
     if math.isfinite(one):
-        found = np.mean([rejects_alone(test(0.0, one).worse)[0, 0] for _ in range(200)])
-        assert 0.65 < found < 0.92
+        result = np.mean([rejects_alone(test(0.0, one).worse)[0, 0] for _ in range(200)])
+        assert 0.65 < result < 0.92

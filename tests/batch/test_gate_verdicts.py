@@ -224,11 +224,11 @@ def test_json_says_what_the_markdown_says_with_all_digits(tmp_path: Path) -> Non
     now["s4"] = [2.0 * item for item in now["s4"] if item is not None]
     untested = "association.groundtruth_coverage worse than 50 % untested"
     judgement = judged(tmp_path, before, now, GATE, untested)
-    found = as_json(judgement, 'a "title" | </script>', ["the groundtruth of s0 changed"])
-    assert (found["schema"], found["title"]) == ("trajeval-gates/2", 'a "title" | </script>')
-    assert found["notes"] == ["the groundtruth of s0 changed"]
-    assert (found["verdict"], found["false_alarms"]) == ("worse", 0.025)
-    tested, other = found["gates"]
+    result = as_json(judgement, 'a "title" | </script>', ["the groundtruth of s0 changed"])
+    assert (result["schema"], result["title"]) == ("trajeval-gates/2", 'a "title" | </script>')
+    assert result["notes"] == ["the groundtruth of s0 changed"]
+    assert (result["verdict"], result["false_alarms"]) == ("worse", 0.025)
+    tested, other = result["gates"]
     parts = ("path", "margin", "tested")
     assert [tested[part] for part in parts] == ["ate.position_m.rmse", 0.05, True]
     assert Gate.parse(tested["gate"]) == judgement.gates[0].gate
@@ -255,9 +255,9 @@ def test_json_says_what_the_markdown_says_with_all_digits(tmp_path: Path) -> Non
 
 
 def test_json_has_null_for_what_is_not_known(tmp_path: Path) -> None:
-    found = as_json(judged(tmp_path, {"s": [1.0]}, {"s": [9.0]}))
-    (gate,) = found["gates"]
-    assert (gate["verdict"], found["verdict"]) == ("undecided", "undecided")
+    result = as_json(judged(tmp_path, {"s": [1.0]}, {"s": [9.0]}))
+    (gate,) = result["gates"]
+    assert (gate["verdict"], result["verdict"]) == ("undecided", "undecided")
     assert (gate["together"]["bounds"], gate["together"]["noticeable"]) == (None, None)
     assert (gate["together"]["p"], gate["together"]["more_trials"]) == (0.5, 38)
     before, now = trials_of(11, 1), trials_of(11, 1, 1.5, seed=1)
@@ -274,13 +274,13 @@ def test_json_says_of_failed_runs_what_the_verdict_on_them_says(tmp_path: Path) 
     assert as_json(judged(tmp_path, before, now))["failures"]["verdict"] == "undecided"
     for index in range(11):
         now[f"s{index}"] = [1.0, 1.0, None, None, None]
-    found = as_json(judged(tmp_path, before, now))
-    failures = found["failures"]
+    result = as_json(judged(tmp_path, before, now))
+    failures = result["failures"]
     assert failures["before"] == {"failed": 0, "runs": 55}
     assert failures["now"] == {"failed": 33, "runs": 55}
     assert failures["verdict"] == "more failures"
     assert failures["p"] <= failures["level"] == 0.025
-    number = found["gates"][0]["numbers"][0]
+    number = result["gates"][0]["numbers"][0]
     assert number["now"] == {"median": None, "trials": 5}
     assert number["change"] is None
     now = {name: [None] * 5 for name in now}
@@ -321,10 +321,10 @@ def test_pairs_show_a_change_that_seeds_hide(tmp_path: Path) -> None:
     text = to_markdown(judgement, "runs", [])
     assert "Paired by trial name" in text
     assert "is detected in 80 % of comparisons; in a single value, " in text
-    (found,) = as_json(judgement)["gates"]
-    assert found["paired"] is True
-    assert 0.05 < found["together"]["noticeable"] < 0.1
-    assert found["together"]["bounds"][0] > 0.05
+    (result,) = as_json(judgement)["gates"]
+    assert result["paired"] is True
+    assert 0.05 < result["together"]["noticeable"] < 0.1
+    assert result["together"]["bounds"][0] > 0.05
     same = judged(tmp_path, before, of_seeds(1.0, 2, 9), paired=True)
     assert pooled_word(same) == "no worse"
     few = judged(tmp_path, of_seeds(1.0, 1, 4), of_seeds(1.1, 2, 4), paired=True)
@@ -350,8 +350,8 @@ def test_pairs_are_made_by_name_and_copies_of_a_pair_count_once() -> None:
 def test_pairs_that_can_not_be_made_are_refused(tmp_path: Path) -> None:
     before, now = of_seeds(1.0, 1), of_seeds(1.0, 2)
     less = {**now, "s1": now["s1"][:4]}
-    said = "this comparison has no trial '4', '5' of vio, s1"
-    with pytest.raises(SettingsError, match=said):
+    text = "this comparison has no trial '4', '5' of vio, s1"
+    with pytest.raises(SettingsError, match=text):
         judged(tmp_path, before, less, paired=True)
     with pytest.raises(SettingsError, match="the baseline has no trial '4', '5' of vio, s1"):
         judged(tmp_path, less, before, paired=True)

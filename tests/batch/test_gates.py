@@ -117,9 +117,9 @@ def test_what_is_worse_in_all_trials_is_worse_and_the_other_way_no_worse(
 ) -> None:
     for trial in range(TRIALS):
         write_run(today / "good" / f"yard_trial{trial}.txt", 1.05 + 0.001 * trial)
-    found = verdicts(today, yesterday)
-    assert found["good", "yard"] == "worse"
-    assert "worse" not in (found["good", "hall"], found["bad", "yard"], found["bad", "hall"])
+    result = verdicts(today, yesterday)
+    assert result["good", "yard"] == "worse"
+    assert "worse" not in (result["good", "hall"], result["bad", "yard"], result["bad", "hall"])
     for trial in range(TRIALS):
         write_run(today / "good" / f"yard_trial{trial}.txt", 1.002 + 0.0001 * trial)
     assert verdicts(today, yesterday)["good", "yard"] == "no worse"
@@ -145,9 +145,9 @@ def test_less_coverage_is_worse(today: Path, yesterday: Path) -> None:
     for trial in range(TRIALS):
         path = today / "good" / f"yard_trial{trial}.txt"
         path.write_text("\n".join(path.read_text().splitlines()[:200]))
-    found = verdicts(today, yesterday, "association.groundtruth_coverage worse than 5 %")
-    assert found["good", "yard"] == "worse"
-    assert found["bad", "yard"] != "worse"
+    result = verdicts(today, yesterday, "association.groundtruth_coverage worse than 5 %")
+    assert result["good", "yard"] == "worse"
+    assert result["bad", "yard"] != "worse"
 
 
 @pytest.mark.slow
@@ -215,16 +215,16 @@ def test_what_is_gone_or_new_is_told(today: Path, yesterday: Path) -> None:
     config = today / "runs.yaml"
     text = config.read_text()
     config.write_text(text.replace("  bad: bad/", "  other: bad/"))
-    found = verdicts(today, yesterday)
-    assert found["bad", "hall"] == "lost"
-    assert found["other", "hall"] == "new"
+    result = verdicts(today, yesterday)
+    assert result["bad", "hall"] == "lost"
+    assert result["other", "hall"] == "new"
 
 
 def test_nothing_but_failures_is_no_mistake_of_the_user(today: Path, yesterday: Path) -> None:
     for path in today.glob("*/*_trial*.txt"):
         path.write_text("nothing\n")
-    found = verdicts(today, yesterday, "re.8m.position_m.rmse worse than 5 %")
-    assert set(found.values()) == {"lost"}
+    result = verdicts(today, yesterday, "re.8m.position_m.rmse worse than 5 %")
+    assert set(result.values()) == {"lost"}
 
 
 @pytest.mark.slow
@@ -237,8 +237,8 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
     assert compare(*arguments, "--workers", "1", *gate, output=today / "old") == 0
     for more, is_paired in (["--paired"], True), ([], False):
         assert compare(*arguments, "--workers", "1", *gate, *more, output=today / "old") == 0
-        (found,) = json.loads((today / "old" / "gates.json").read_text())["gates"]
-        assert (found["paired"], found["verdict"] == "no worse") == (is_paired, is_paired)
+        (result,) = json.loads((today / "old" / "gates.json").read_text())["gates"]
+        assert (result["paired"], result["verdict"] == "no worse") == (is_paired, is_paired)
 
 
 @pytest.mark.parametrize(
@@ -312,11 +312,11 @@ def test_a_run_that_failed_before_is_not_new(today: Path, yesterday: Path) -> No
         for trial in range(TRIALS):
             (copy / "bad" / f"yard_trial{trial}.txt").write_text("nothing\n")
         table(copy / "old", copy / "runs.yaml")
-    found = verdicts(
+    result = verdicts(
         today.with_name(f"{today.name}_failed"), yesterday.with_name(f"{yesterday.name}_failed")
     )
-    assert found["bad", "yard"] == "failed"
-    assert found["bad", "hall"] != "worse"
+    assert result["bad", "yard"] == "failed"
+    assert result["bad", "hall"] != "worse"
 
 
 def test_another_groundtruth_is_told_by_its_sequence_and_a_missing_run_is_none(

@@ -84,8 +84,10 @@ def test_each_run_has_a_groundtruth_of_its_own(tmp_path: Path) -> None:
         write_run(tmp_path / f"estimate{trial}.txt", float(trial) + 1.0)
     rows = [["vio", "hall", trial, f"truth{trial}.txt", f"estimate{trial}.txt"] for trial in "01"]
     run_plan(plan_of(write_manifest(tmp_path / "runs.csv", rows), {}), tmp_path / "out", here)
-    found = ResultsTable(tmp_path / "out" / RUNS).select(["rmse"], kind="ate", metric="position_m")
-    assert [row["rmse"] for row in found] == pytest.approx([0.0, 0.0], abs=1e-6)
+    result = ResultsTable(tmp_path / "out" / RUNS).select(
+        ["rmse"], kind="ate", metric="position_m"
+    )
+    assert [row["rmse"] for row in result] == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
 def test_an_algorithm_without_a_sequence_of_others_is_missing_there(tmp_path: Path) -> None:
@@ -182,8 +184,8 @@ def test_what_a_manifest_gets_wrong_is_told_in_one_sentence(
 def test_a_scheme_that_nobody_reads_is_told_before_any_host_is_asked(tmp_path: Path) -> None:
     pytest.importorskip("fsspec", reason="fsspec is missing, the extra `remote`")
     path = write_manifest(tmp_path / "runs.csv", [["v", "s", "", "t.txt", "nosuch://x/e.txt"]])
-    said = r"line 2: nosuch://x/e\.txt can't be read: the scheme nosuch is unknown; use one of "
-    with pytest.raises(InputError, match=said):
+    text = r"line 2: nosuch://x/e\.txt can't be read: the scheme nosuch is unknown; use one of "
+    with pytest.raises(InputError, match=text):
         plan_of(path, {}, allow_remote=["nosuch://x"])
 
 
@@ -211,9 +213,9 @@ def test_a_file_that_is_listed_and_not_there_is_a_failed_run(
     write_runs(tmp_path)
     path = write_manifest(tmp_path / "runs.csv", [*ROWS, ["bad", "hall", "2", "x.txt", "y.txt"]])
     assert compare(path, "--workers", "1", output=tmp_path / "out") == 0
-    said = capsys.readouterr()
-    assert "8 runs evaluated, 1 failed or missing; report.html" in said.out
-    assert f"warning: bad hall 2 failed: {tmp_path}/x.txt does not exist" in said.err
+    text = capsys.readouterr()
+    assert "8 runs evaluated, 1 failed or missing; report.html" in text.out
+    assert f"warning: bad hall 2 failed: {tmp_path}/x.txt does not exist" in text.err
 
 
 def test_a_comparison_without_any_number_is_an_error_with_a_report(

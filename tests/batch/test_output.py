@@ -76,9 +76,9 @@ def test_a_second_comparison_is_refused_and_names_the_first(
     with only_writer(out, RECORDS):
         before = contents(out)
         assert compare(config) == 2
-        said = capsys.readouterr().err
+        text = capsys.readouterr().err
         assert contents(out) == before
-    assert said == (
+    assert text == (
         f"trajeval: {out} is in use by process {os.getpid()} on {os.uname().nodename}; wait with "
         "--wait, or choose another --output\n"
     )
@@ -239,12 +239,12 @@ def test_all_that_numbers_come_from_is_hashed() -> None:
     package = ROOT / "trajeval_ros"
 
     def imported(file: Path) -> set[Path]:
-        found = set()
+        result = set()
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module is not None:
                 names = [node.module, *(f"{node.module}.{item.name}" for item in node.names)]
-                found |= {ROOT / f"{name.replace('.', '/')}.py" for name in names}
-        return {item for item in found if item.is_file()}
+                result |= {ROOT / f"{name.replace('.', '/')}.py" for name in names}
+        return {item for item in result if item.is_file()}
 
     known, new = set[Path](), {package / "batch" / "worker.py"}
     while new:

@@ -73,8 +73,8 @@ def test_workers_use_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
     # What the user says stays.
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
     with local_pool(1).start(1) as executor:
-        found = [executor.submit(os.getenv, name).result() for name in names]
-    assert found == ["7", "1", "1"]
+        result = [executor.submit(os.getenv, name).result() for name in names]
+    assert result == ["7", "1", "1"]
     assert os.environ["OPENBLAS_NUM_THREADS"] == "7"
     assert "OMP_NUM_THREADS" not in os.environ
 
@@ -144,8 +144,8 @@ def test_ctrl_c_while_workers_start_is_one_line(tmp_path: Path) -> None:
     )
     until(lambda: process.poll() is not None or len(children_of(process.pid)) > 1, "workers start")
     os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, said) == (130, "trajeval: interrupted\n")
+    _, text = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, text) == (130, "trajeval: interrupted\n")
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc to look into")

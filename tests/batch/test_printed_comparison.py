@@ -50,5 +50,5 @@ def test_gates_print_what_they_did(
     assert main(["compare", *common, *gates, "--output", "new"]) == 1
     written = ["new/gates.md", "new/gates.json"]
     texts = [Path(item).read_text(encoding="utf-8") for item in written]
-    said = "\n".join([*capsys.readouterr(), *texts])
-    assert_kept("gates", said)
+    text = "\n".join([*capsys.readouterr(), *texts])
+    assert_kept("gates", text)

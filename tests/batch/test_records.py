@@ -48,17 +48,17 @@ def test_a_record_comes_back_with_and_without_its_large_columns(tmp_path: Path) 
     store = RecordStore(tmp_path)
     store.add(encode(record_of(1)))
     store.add(encode(record_of(2)))
-    for found in (store, RecordStore(tmp_path)):
-        whole = found.read(record_of(2).key)
+    for result in (store, RecordStore(tmp_path)):
+        whole = result.read(record_of(2).key)
         assert whole is not None
         assert whole.result == {"runs": [{"n": 2}]}
         assert (whole.lengths, whole.span_ns) == (("8m",), (0, 2))
         np.testing.assert_array_equal(whole.columns["8m.position_m"], np.arange(5.0) + 2)
-        brief = found.read(record_of(2).key, with_pooled=False)
+        brief = result.read(record_of(2).key, with_pooled=False)
         assert brief is not None
         assert list(brief.columns) == ["path"]
-        assert found.read("none") is None
-        assert len(found) == 2
+        assert result.read("none") is None
+        assert len(result) == 2
 
 
 @pytest.mark.parametrize(
@@ -118,16 +118,16 @@ def test_a_flipped_bit_is_never_read_as_a_number(tmp_path: Path, data: Any) -> N
     store = RecordStore(tmp_path)
     damaged = place // len(entries[0])
     for number in range(3):
-        found = store.read(record_of(number).key)
+        result = store.read(record_of(number).key)
         if number == damaged:
-            assert found is None
+            assert result is None
         elif number < damaged:
-            assert found is not None
-        if found is not None:
+            assert result is not None
+        if result is not None:
             expected = record_of(number).columns
-            assert found.columns.keys() == expected.keys()
+            assert result.columns.keys() == expected.keys()
             for name, column in expected.items():
-                np.testing.assert_array_equal(found.columns[name], column)
+                np.testing.assert_array_equal(result.columns[name], column)
 
 
 def test_of_two_records_of_a_run_the_later_one_counts(tmp_path: Path) -> None:
@@ -135,9 +135,9 @@ def test_of_two_records_of_a_run_the_later_one_counts(tmp_path: Path) -> None:
     first = record_of(1)
     store.add(encode(first))
     store.add(encode(dataclasses.replace(record_of(2), key=first.key)))
-    found = RecordStore(tmp_path).read(first.key)
-    assert found is not None
-    assert found.span_ns == (0, 2)
+    result = RecordStore(tmp_path).read(first.key)
+    assert result is not None
+    assert result.span_ns == (0, 2)
 
 
 def test_a_link_in_the_place_of_the_file_is_not_followed(tmp_path: Path) -> None:

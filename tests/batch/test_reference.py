@@ -53,13 +53,13 @@ def compared(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Com
 
 
 def rows_by_run(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
+    result: dict[str, list[dict[str, Any]]] = {}
     columns = ("kind", "metric", "length", "length_m", "mean_length_m", "count", *STATISTICS)
     names = ("algorithm", "sequence", "trial", "groundtruth", "estimate", "pairs", "scale")
     for row in ResultsTable(folder / RUNS).select((*names, *columns)):
         name = "/".join(filter(None, (row["algorithm"], row["sequence"], row["trial"])))
-        found.setdefault(name, []).append(row)
-    return found
+        result.setdefault(name, []).append(row)
+    return result
 
 
 def settings_of(**said: str) -> dict[str, Any]:
@@ -73,10 +73,10 @@ def settings_of(**said: str) -> dict[str, Any]:
 def test_every_number_is_that_of_a_single_evaluation(
     compared: Compared, shared_data: Path, recording: Callable[[str], Trajectory]
 ) -> None:
-    found = rows_by_run(compared(modality="mono-inertial"))
+    result = rows_by_run(compared(modality="mono-inertial"))
     protocol = protocol_from("default", **settings_of(modality="mono-inertial"))
-    assert len(found) == 33
-    for rows in found.values():
+    assert len(result) == 33
+    for rows in result.values():
         single = evaluate(
             *(
                 recording(str(Path(rows[0][side]).relative_to(shared_data)))
@@ -139,11 +139,11 @@ def test_every_number_is_the_toolboxs(
     assert len(numbers["multi_trial"]) > 0
     for name, multi in numbers["multi_trial"].items():
         algorithm, sequence = "vislam_ba", name.removeprefix("vislam_ba_")
-        for metric, ours, relative in (
+        for metric, actual, relative in (
             ("trans_m", "position_m", 1e-8),
             ("rot_deg", "rotation_deg", 1e-7),
         ):
-            row = pooled[algorithm, sequence, ours]
+            row = pooled[algorithm, sequence, actual]
             theirs = multi["stats_of_rmse_over_trials"][f"{key}|{metric}"]
             assert row["trials"] == row["evaluated"] == multi["n_trials"]
             assert_statistics(row, theirs, relative, 1e-9)
@@ -165,10 +165,10 @@ def assert_relative(
             expected = dict(numbers["dropped_index_case"]["corrected"])
             if not unscaled:
                 del expected["trans_m"]
-        ours = {row["metric"]: row for row in rows if row["length"] == label}
+        actual = {row["metric"]: row for row in rows if row["length"] == label}
         for metric, statistics in expected.items():
             absolute = 1e-9 if "deg" in metric else 1e-10
-            assert_statistics(ours[METRICS[metric]], statistics, 1e-8, absolute)
+            assert_statistics(actual[METRICS[metric]], statistics, 1e-8, absolute)
 
 
 def assert_statistics(

@@ -65,14 +65,14 @@ def test_five_runs_of_which_one_is_poisoned(
     out = tmp_path / "out"
     command = ["compare", f"{STORE}/runs.csv", "--workers", "1", "--output", str(out)]
     assert main(command) == 0
-    said = capsys.readouterr()
+    text = capsys.readouterr()
     size = data_size(fetched(*sizes.values()))
     assert (
         f"4 runs evaluated, 1 failed or missing, {size} read from remote stores; report.html"
-        in said.out
+        in text.out
     )
     reason = f"{STORE}/hall_1.txt is text without a row of numbers; give a file with poses"
-    assert f"warning: vio hall 1 failed: {reason}\n" in said.err
+    assert f"warning: vio hall 1 failed: {reason}\n" in text.err
     trials = summary_of(out).trials
     assert [trial.status for trial in trials] == ["ok", "failed", "ok", "ok", "ok"]
     # What failed is fetched again, with its groundtruth.

@@ -239,9 +239,9 @@ def test_runs_that_are_cut_are_counted_once(
 ) -> None:
     config = write_runs(tmp_path, trials=1)
     config.write_text(config.read_text() + "common_time_span: true\n")
-    for said in ("4 runs evaluated; report", "0 runs evaluated, 4 unchanged; report"):
+    for text in ("4 runs evaluated; report", "0 runs evaluated, 4 unchanged; report"):
         assert compare(config, output=tmp_path / "out") == 0
-        assert said in capsys.readouterr().out
+        assert text in capsys.readouterr().out
 
 
 LONG = "an_estimator_of_a_long_name__window_20__features_250__loop_closure_off__seed_1234567890"

@@ -33,8 +33,8 @@ def test_distinct_rows_are_in_the_order_of_their_first_occurrence(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "runs.parquet"
         write_table(path, rows, "t", {"gauge": "se3", "protocol": "default"}, "state")
-        found = ResultsTable(path).distinct(columns)
-    assert [tuple(item.values()) for item in found] == list(dict.fromkeys(runs))
+        result = ResultsTable(path).distinct(columns)
+    assert [tuple(item.values()) for item in result] == list(dict.fromkeys(runs))
 
 
 def test_rows_are_filtered_by_texts_and_by_missing_values(tmp_path: Path) -> None:

@@ -74,8 +74,8 @@ def test_offsets_of_flights_are_found_by_both_rates() -> None:
 def test_rates_are_central_differences_of_known_motion() -> None:
     seconds = np.arange(0.0, 4.0001, 0.01)
     positions = np.column_stack([seconds**2, 0.0 * seconds, 0.0 * seconds])
-    turns = Rotation.from_rotvec(np.outer(0.5 * seconds**2, [0.0, 0.6, 0.8])).as_quat()
-    path = Trajectory(stamps_of(seconds), positions, turns)
+    rotations = Rotation.from_rotvec(np.outer(0.5 * seconds**2, [0.0, 0.6, 0.8])).as_quat()
+    path = Trajectory(stamps_of(seconds), positions, rotations)
     for oriented, factor in ((False, 2.0), (True, 1.0)):
         poses = PoseInterpolator.of(path, with_rotations=oriented)
         rate, known = _rate(poses, 0.1)

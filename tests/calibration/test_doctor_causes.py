@@ -74,10 +74,10 @@ def verdict(name: str, causes: list[GroundtruthCause]) -> tuple[bool, float | No
 def test_limits_of_faults_of_poses(
     name: str, below: dict[str, Any], above: dict[str, Any], said: str
 ) -> None:
-    for changed, found in ((below, False), (above, True)):
+    for changed, result in ((below, False), (above, True)):
         is_found, _, sentence = verdict(name, sample_causes(checks(**changed), None, 2 * 10**9))
-        assert is_found == found
-        assert (said in sentence) == found
+        assert is_found == result
+        assert (said in sentence) == result
 
 
 @pytest.mark.parametrize(
@@ -117,19 +117,19 @@ def test_limits_of_faults_of_residuals(
         "jitter_s": 0.0, "jitter_sigmas": 10.0, "outlier_share": 0.0, "jumps": (),
         "noisy_steps": (),
     }  # fmt: skip
-    for changed, found in ((below, False), (above, True)):
+    for changed, result in ((below, False), (above, True)):
         residuals = ResidualChecks(**{**given, **changed})
         causes = sample_causes(checks(), residuals, 2 * 10**9)
         is_found, _, sentence = verdict(name, causes)
-        assert is_found == found
-        assert (said in sentence) == found
+        assert is_found == result
+        assert (said in sentence) == result
 
 
 def parameter_cause(
     name: str, values: Array, sigmas: Array, free: NDArray[np.bool_], axes: str
 ) -> GroundtruthCause:
-    found = SimpleNamespace(values=values, sigmas=sigmas, fixed_axes=axes)
-    causes = parameter_causes(found, free)  # type: ignore[arg-type]
+    result = SimpleNamespace(values=values, sigmas=sigmas, fixed_axes=axes)
+    causes = parameter_causes(result, free)  # type: ignore[arg-type]
     return {item.name: item for item in causes}[name]
 
 
@@ -173,12 +173,12 @@ def test_verdicts_on_parameters(name: str, columns: slice, least: float, limit: 
     critical = np.sqrt(size * fisher.isf(0.0027, size, 11))
     sigma = 0.1 * limit
     assert cause(0.999 * critical * sigma, sigma).verdict == "insignificant"
-    found = cause(1.001 * critical * sigma, sigma)
-    assert found.verdict == "significant"
-    assert found.p_value == pytest.approx(0.0027, rel=0.02)
-    assert found.value == pytest.approx(1.001 * critical * sigma)
-    assert found.standard_deviation == pytest.approx(sigma)
-    assert found.half_width == pytest.approx(2.201 * sigma)
+    result = cause(1.001 * critical * sigma, sigma)
+    assert result.verdict == "significant"
+    assert result.p_value == pytest.approx(0.0027, rel=0.02)
+    assert result.value == pytest.approx(1.001 * critical * sigma)
+    assert result.standard_deviation == pytest.approx(sigma)
+    assert result.half_width == pytest.approx(2.201 * sigma)
     assert cause(0.0, 0.99 * limit / 2.201).verdict == "insignificant"
     assert cause(0.0, 1.01 * limit / 2.201).verdict == "inconclusive"
     assert cause(0.0, 1.0).standard_deviation == 1.0
@@ -191,21 +191,21 @@ def test_verdicts_on_parameters(name: str, columns: slice, least: float, limit: 
 
 def test_sentences_on_the_clock_have_a_direction() -> None:
     free = np.ones(10, dtype=bool)
-    for value, said in (
+    for value, text in (
         (12.0, "12.0 ms (± 2.2 ms at 95 %) early: add"),
         (-12.0, "late: subtract"),
     ):
         cause = parameter_cause("clock_offset", *calibration(slice(6, 7), value, 1.0), free, "")
-        assert said in cause.sentence
+        assert text in cause.sentence
     skew = parameter_cause("clock_skew", *calibration(slice(7, 8), 1000.0, 1.0), free, "")
     assert "1000 ppm" in skew.sentence
     assert "3.60 s per hour" in skew.sentence
-    found = fused(1.0, 3.5, disagree=True)
-    assert (found.verdict, found.value) == ("significant", pytest.approx(2.5))
-    assert "over 0.1 s and over 2 s disagree (1.0 and 3.5 deg)" in found.sentence
-    assert found.sentence.endswith("uncertain by 0.25 deg.")
-    found = fused(3.5, 1.0, disagree=False)
-    assert (found.verdict, found.value) == ("insignificant", pytest.approx(2.5))
+    result = fused(1.0, 3.5, disagree=True)
+    assert (result.verdict, result.value) == ("significant", pytest.approx(2.5))
+    assert "over 0.1 s and over 2 s disagree (1.0 and 3.5 deg)" in result.sentence
+    assert result.sentence.endswith("uncertain by 0.25 deg.")
+    result = fused(3.5, 1.0, disagree=False)
+    assert (result.verdict, result.value) == ("insignificant", pytest.approx(2.5))
 
 
 def test_a_standard_deviation_is_along_the_value() -> None:

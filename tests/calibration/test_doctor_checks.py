@@ -51,86 +51,86 @@ def turning_imu(rate: float = 0.5) -> ImuSeconds:
 
 
 def test_gaps_and_missing_poses_by_hand() -> None:
-    stamps, positions, turns = walking()
+    stamps, positions, rotations = walking()
     kept = np.ones(200, dtype=bool)
     kept[50:60] = kept[100:102] = kept[150] = False
-    found = check_poses(poses_of(stamps[kept], positions[kept], turns[kept]), None, START_NS)
-    assert found.rate_hz == pytest.approx(100.0)
+    result = check_poses(poses_of(stamps[kept], positions[kept], rotations[kept]), None, START_NS)
+    assert result.rate_hz == pytest.approx(100.0)
     # A gap is longer than 0.1 s: the first one has 0.11 s.
-    assert found.gaps == (PoseSpan(int(stamps[49]), 0.11),)
-    assert found.missing_share == pytest.approx(13 / 200)
-    assert found.repeated_stamps == 0
-    assert found.interval_sigma_s == 0.0
-    assert found.held_share == 0.0
-    assert found.frozen == ()
-    assert found.position_noise_m == pytest.approx(0.0, abs=1e-12)
+    assert result.gaps == (PoseSpan(int(stamps[49]), 0.11),)
+    assert result.missing_share == pytest.approx(13 / 200)
+    assert result.repeated_stamps == 0
+    assert result.interval_sigma_s == 0.0
+    assert result.held_share == 0.0
+    assert result.frozen == ()
+    assert result.position_noise_m == pytest.approx(0.0, abs=1e-12)
     # Slow poses: a gap is longer than five usual steps.
     slow = 10 * (stamps - START_NS) + START_NS
     kept[:] = True
     kept[50:54] = kept[100:105] = False
-    found = check_poses(poses_of(slow[kept], positions[kept], turns[kept]), None, START_NS)
-    assert found.gaps == (PoseSpan(int(slow[99]), 0.6),)
+    result = check_poses(poses_of(slow[kept], positions[kept], rotations[kept]), None, START_NS)
+    assert result.gaps == (PoseSpan(int(slow[99]), 0.6),)
 
 
 def test_repeated_stamps_count_in_order_of_arrival() -> None:
-    stamps, positions, turns = walking(50)
+    stamps, positions, rotations = walking(50)
     stamps[10], stamps[20] = stamps[9], stamps[18] + 1
-    found = check_poses(poses_of(stamps, positions, turns), None, START_NS)
-    assert found.repeated_stamps == 2
+    result = check_poses(poses_of(stamps, positions, rotations), None, START_NS)
+    assert result.repeated_stamps == 2
 
 
 def test_uneven_intervals_have_a_robust_deviation() -> None:
-    stamps, positions, turns = walking(401)
+    stamps, positions, rotations = walking(401)
     # Intervals of 9, 10 and 11 ms: the median absolute deviation is 1 ms.
     steps = np.tile([9, 11, 9, 11, 10], 80) * 1_000_000
     stamps = START_NS + np.concatenate([[0], np.cumsum(steps)])
-    found = check_poses(poses_of(stamps, positions, turns), None, START_NS)
-    assert found.interval_sigma_s == pytest.approx(1.4826e-3)
+    result = check_poses(poses_of(stamps, positions, rotations), None, START_NS)
+    assert result.interval_sigma_s == pytest.approx(1.4826e-3)
     # Intervals of one and a half steps are missing poses, not deviations.
     stamps = START_NS + np.concatenate([[0], np.cumsum(np.tile([10, 10, 20], 134)[:400] * 10**6)])
-    found = check_poses(poses_of(stamps, positions, turns), None, START_NS)
-    assert found.interval_sigma_s == 0.0
-    assert found.missing_share == pytest.approx(133 / (401 + 133))
+    result = check_poses(poses_of(stamps, positions, rotations), None, START_NS)
+    assert result.interval_sigma_s == 0.0
+    assert result.missing_share == pytest.approx(133 / (401 + 133))
 
 
 def test_held_and_frozen_poses_by_hand() -> None:
-    stamps, positions, turns = walking(400)
-    positions[100:110], turns[100:110] = positions[100], turns[100]
-    positions[200:221], turns[200:221] = positions[200], turns[200]
-    positions[300:319], turns[300:319] = positions[300], turns[300]
-    motion = poses_of(stamps, positions, turns)
-    found = check_poses(motion, None, START_NS)
+    stamps, positions, rotations = walking(400)
+    positions[100:110], rotations[100:110] = positions[100], rotations[100]
+    positions[200:221], rotations[200:221] = positions[200], rotations[200]
+    positions[300:319], rotations[300:319] = positions[300], rotations[300]
+    motion = poses_of(stamps, positions, rotations)
+    result = check_poses(motion, None, START_NS)
     # Runs of 9, 20 and 18 steps; from 0.2 s on they are frozen.
-    assert found.frozen == (PoseSpan(int(stamps[200]), 0.2),)
-    assert found.held_share == pytest.approx(27 / 399, abs=1.5 / 399)
-    turned = poses_of(stamps, positions, walking(400)[2])
-    assert check_poses(turned, None, START_NS).held_share == 0.0
+    assert result.frozen == (PoseSpan(int(stamps[200]), 0.2),)
+    assert result.held_share == pytest.approx(27 / 399, abs=1.5 / 399)
+    rotated = poses_of(stamps, positions, walking(400)[2])
+    assert check_poses(rotated, None, START_NS).held_share == 0.0
     bare = Trajectory(stamps, positions)
-    assert check_poses(bare, None, START_NS).frozen == found.frozen
+    assert check_poses(bare, None, START_NS).frozen == result.frozen
     # An IMU that does not turn does not confirm it, one above 0.05 rad/s does.
     for rate, count in ((0.04, 0), (0.06, 1)):
         assert len(check_poses(motion, turning_imu(rate), START_NS).frozen) == count
 
 
 def test_poses_at_rest_are_not_held() -> None:
-    stamps, positions, turns = walking(400)
+    stamps, positions, rotations = walking(400)
     # 15 mm/s is slower than what counts as moving.
     positions *= 0.015
-    positions[100:110], turns[100:110] = positions[100], turns[100]
-    assert check_poses(poses_of(stamps, positions, turns), None, START_NS).held_share == 0.0
+    positions[100:110], rotations[100:110] = positions[100], rotations[100]
+    assert check_poses(poses_of(stamps, positions, rotations), None, START_NS).held_share == 0.0
 
 
 def test_white_noise_is_measured_beside_smooth_motion() -> None:
     generator = np.random.default_rng(0)
-    stamps, positions, turns = walking(20_000)
+    stamps, positions, rotations = walking(20_000)
     positions = positions + np.sin(positions) + generator.normal(scale=1e-3, size=positions.shape)
-    turned = Rotation.from_rotvec(turns) * Rotation.from_rotvec(
+    rotated = Rotation.from_rotvec(rotations) * Rotation.from_rotvec(
         generator.normal(scale=2e-3, size=positions.shape)
     )
-    found = check_poses(Trajectory(stamps, positions, turned.as_quat()), None, START_NS)
+    result = check_poses(Trajectory(stamps, positions, rotated.as_quat()), None, START_NS)
     # A median of 60,000 correlated values has a standard deviation of about 1 %.
-    assert found.position_noise_m == pytest.approx(1e-3, rel=0.03)
-    assert found.rotation_noise_rad == pytest.approx(2e-3, rel=0.03)
+    assert result.position_noise_m == pytest.approx(1e-3, rel=0.03)
+    assert result.rotation_noise_rad == pytest.approx(2e-3, rel=0.03)
     assert _noise(np.empty((0, 3))) == 0.0
 
 
@@ -244,17 +244,19 @@ def test_residuals_of_both_kinds_are_checked() -> None:
         rig=SimpleNamespace(body=body),
         rows=SimpleNamespace(scales=(1e-3, 1e-3)),
     )
-    found = check_residuals(fit, stamps)  # type: ignore[arg-type]
-    kinds = {jump.kind: jump for jump in found.jumps}
-    assert len(found.jumps) == 2
+    result = check_residuals(fit, stamps)  # type: ignore[arg-type]
+    kinds = {jump.kind: jump for jump in result.jumps}
+    assert len(result.jumps) == 2
     assert abs(kinds["position"].stamp_ns - int(stamps[400])) <= 40_000_000
     assert kinds["position"].size == pytest.approx(0.05, rel=0.05)
     assert abs(kinds["rotation"].stamp_ns - int(stamps[700])) <= 40_000_000
     assert kinds["rotation"].size == pytest.approx(0.03, rel=0.05)
-    assert [jump.stamp_ns for jump in found.jumps] == sorted(jump.stamp_ns for jump in found.jumps)
-    assert found.outlier_share == pytest.approx(1 / count)
-    assert found.noisy_steps == ()
-    assert abs(found.jitter_sigmas) < 4.0
+    assert [jump.stamp_ns for jump in result.jumps] == sorted(
+        jump.stamp_ns for jump in result.jumps
+    )
+    assert result.outlier_share == pytest.approx(1 / count)
+    assert result.noisy_steps == ()
+    assert abs(result.jitter_sigmas) < 4.0
     fit.samples.has_rotations = False
     alone = check_residuals(fit, stamps)  # type: ignore[arg-type]
     assert [jump.kind for jump in alone.jumps] == ["position"]
@@ -303,8 +305,8 @@ def test_horizons_disagree_by_size_and_by_deviations() -> None:
         )
         return _difference(brief, lasting)  # type: ignore[arg-type]
 
-    found, disagree = found_by(np.array([-19.0, 0.0, 0.0]), 0.01, 0.99)
-    np.testing.assert_allclose(found, [0.0, 0.99, 0.0, 19.0, 0.0, 0.0], atol=1e-12)
+    result, disagree = found_by(np.array([-19.0, 0.0, 0.0]), 0.01, 0.99)
+    np.testing.assert_allclose(result, [0.0, 0.99, 0.0, 19.0, 0.0, 0.0], atol=1e-12)
     assert not disagree
     assert found_by(np.zeros(3), 0.01, 1.01)[1]
     assert found_by(np.array([0.0, -20.1, 0.0]), 0.01, 0.0)[1]
@@ -319,5 +321,5 @@ def test_horizons_disagree_by_size_and_by_deviations() -> None:
 def test_bridges_fill_gaps_of_two_seconds() -> None:
     stamps = np.array([0, 1, 2, 6, 7, 30]) * 500_000_000
     gaps = (PoseSpan(int(stamps[2]), 2.0), PoseSpan(int(stamps[4]), 11.5))
-    found = _with_bridges(stamps, gaps)
-    assert found.tolist() == [item * 500_000_000 for item in (0, 1, 2, 3, 4, 5, 6, 7, 30)]
+    result = _with_bridges(stamps, gaps)
+    assert result.tolist() == [item * 500_000_000 for item in (0, 1, 2, 3, 4, 5, 6, 7, 30)]

@@ -122,17 +122,17 @@ def test_positions_alone_are_not_trusted_more_than_their_first_noise(small: Smal
 
 def test_positions_of_a_car_are_not_trusted_more_than_its_imu_over_a_knot() -> None:
     """Otherwise its clock is wrong by 10 ms, since its turns hardly determine it."""
-    found = []
+    result = []
     for axes in (3, 1):
         made = small_rig()
         made.steps.rates[..., : 3 - axes] = 0.0
         fit = made.fit(sigmas=(1e-4, 0.02))
         fit._estimate_noise(np.full(2, 1e9))
-        found.append(fit.sigmas)
+        result.append(fit.sigmas)
     # White noise of 2e-2 m/s^2/sqrt(Hz), integrated twice over 0.1 s.
     drift_m = 2e-2 * np.sqrt(0.1**3 / 3.0)
-    np.testing.assert_allclose(found[0], np.repeat([3e-5, 6e-3], 3))
-    np.testing.assert_allclose(found[1], np.repeat([drift_m, 6e-3], 3))
+    np.testing.assert_allclose(result[0], np.repeat([3e-5, 6e-3], 3))
+    np.testing.assert_allclose(result[1], np.repeat([drift_m, 6e-3], 3))
 
 
 def test_fixed_parameters_do_not_move(small: Small) -> None:
@@ -146,8 +146,8 @@ def test_fixed_parameters_do_not_move(small: Small) -> None:
     assert not fit.covariance_of_model[LEVER].any()
     # The others have the covariance of a problem without the lever arm.
     expected = np.linalg.inv(whole[np.ix_(fit.free, fit.free)])
-    found = fit.covariance_of_model[np.ix_(fit.free, fit.free)]
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+    result = fit.covariance_of_model[np.ix_(fit.free, fit.free)]
+    np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
 
 def test_broken_intervals_have_less_weight_from_the_fifth_iteration_on(small: Small) -> None:
@@ -197,12 +197,12 @@ def test_a_solved_fit_is_a_minimum_with_the_noise_of_its_residuals() -> None:
 def test_unobservable_directions_of_the_lever_arm_are_fixed(small: Small) -> None:
     fit = small.fit()
     values, vectors = np.diag([0.049**2, 0.051**2, 1.0]), Rotation.from_rotvec([0.3, 0.2, 0.1])
-    turn = vectors.as_matrix()
-    fit.covariance_of_model[LEVER, LEVER] = turn @ values @ turn.T
+    rotation = vectors.as_matrix()
+    fit.covariance_of_model[LEVER, LEVER] = rotation @ values @ rotation.T
     fit.fix_unobservable_lever()
     assert len(fit.fixed_directions) == 2
-    for found, expected in zip(fit.fixed_directions, turn.T[1:], strict=True):
-        assert abs(found @ expected) == pytest.approx(1.0)
+    for result, expected in zip(fit.fixed_directions, rotation.T[1:], strict=True):
+        assert abs(result @ expected) == pytest.approx(1.0)
     fit = small.fit()
     fit.covariance_of_model[LEVER, LEVER] = 0.049**2 * np.eye(3)
     fit.fix_unobservable_lever()
@@ -248,10 +248,10 @@ def test_rotations_are_averaged_over_windows() -> None:
 def test_weighted_means_of_intervals() -> None:
     columns = np.arange(10.0).reshape(5, 2)
     weights = np.array([1.0, 3.0, 2.0, 0.0, 0.0])
-    found = _means(columns, weights, np.array([0, 2, 3]))
-    np.testing.assert_allclose(found, [[1.5, 2.5], [4.0, 5.0], [0.0, 0.0]])
-    found = _means(columns[..., None], weights, np.array([0, 2, 3]))
-    np.testing.assert_allclose(found[..., 0], [[1.5, 2.5], [4.0, 5.0], [0.0, 0.0]])
+    result = _means(columns, weights, np.array([0, 2, 3]))
+    np.testing.assert_allclose(result, [[1.5, 2.5], [4.0, 5.0], [0.0, 0.0]])
+    result = _means(columns[..., None], weights, np.array([0, 2, 3]))
+    np.testing.assert_allclose(result[..., 0], [[1.5, 2.5], [4.0, 5.0], [0.0, 0.0]])
 
 
 def test_repaired_states_are_those_of_the_imu(small: Small) -> None:
@@ -259,36 +259,39 @@ def test_repaired_states_are_those_of_the_imu(small: Small) -> None:
     fit.rig = dataclasses.replace(fit.rig, shift_s=0.005)
     own_ns = START_NS + np.rint(1e9 * (small.samples.seconds - 0.1)).astype(np.int64)
     truth = Trajectory(own_ns, small.samples.positions, small.samples.quaternions, frame="map")
-    found = repaired(fit, truth, (), 4.0)
+    result = repaired(fit, truth, (), 4.0)
     inside = fit.predicted.rows
     seconds = small.samples.seconds[inside]
     later = 0.02 + 1e-3 * (seconds - small.samples.middle_s)
     expected = own_ns[inside] + 5_000_000 + np.rint(1e9 * later).astype(np.int64)
-    np.testing.assert_array_equal(found.stamps, expected)
+    np.testing.assert_array_equal(result.stamps, expected)
     states = rig_at(seconds + later, fit.steps, fit.motions, fit.rig)
-    np.testing.assert_allclose(found.positions, states.positions, atol=1e-6)
-    np.testing.assert_allclose(found.velocities, states.velocities, atol=1e-6)
-    assert found.rotations is not None
-    np.testing.assert_allclose(found.rotations.as_matrix(), states.rotations, atol=1e-6)
-    np.testing.assert_array_equal(found.gyroscope_biases, fit.rig.biases[states.knots, :3])
-    assert found.frame == "map"
+    np.testing.assert_allclose(result.positions, states.positions, atol=1e-6)
+    np.testing.assert_allclose(result.velocities, states.velocities, atol=1e-6)
+    assert result.rotations is not None
+    np.testing.assert_allclose(result.rotations.as_matrix(), states.rotations, atol=1e-6)
+    np.testing.assert_array_equal(result.gyroscope_biases, fit.rig.biases[states.knots, :3])
+    assert result.frame == "map"
     ratio = np.median(np.diag(fit.covariance_of_blocks) / np.diag(fit.covariance_of_model))
     scale = 4.0 * max(1.0, float(ratio))
     knot = fit.pose_covariances()[states.knots[0]]
-    assert found.covariances is not None
-    np.testing.assert_allclose(found.covariances[0, :3, :3], scale * knot[:3, :3], rtol=1e-6)
-    turn = states.rotations[0]
+    assert result.covariances is not None
+    np.testing.assert_allclose(result.covariances[0, :3, :3], scale * knot[:3, :3], rtol=1e-6)
+    rotation = states.rotations[0]
     np.testing.assert_allclose(
-        found.covariances[0, 3:, 3:], scale * turn @ knot[3:, 3:] @ turn.T, rtol=1e-6, atol=1e-12
+        result.covariances[0, 3:, 3:],
+        scale * rotation @ knot[3:, 3:] @ rotation.T,
+        rtol=1e-6,
+        atol=1e-12,
     )
     np.testing.assert_allclose(
-        found.covariances[0, :3, 3:], scale * knot[:3, 3:] @ turn.T, rtol=1e-5, atol=1e-9
+        result.covariances[0, :3, 3:], scale * knot[:3, 3:] @ rotation.T, rtol=1e-5, atol=1e-9
     )
     # A gap is bridged by states at the usual distance.
     kept = np.r_[0:4, 10 : len(own_ns)]
     gap = PoseSpan(int(own_ns[3]), (int(own_ns[10]) - int(own_ns[3])) / 1e9)
     again = repaired(fit, truth[kept], (gap,), 4.0)
-    np.testing.assert_allclose(again.stamps, found.stamps, atol=1)
+    np.testing.assert_allclose(again.stamps, result.stamps, atol=1)
 
 
 def test_rough_orientations_are_found_from_positions() -> None:
@@ -296,8 +299,8 @@ def test_rough_orientations_are_found_from_positions() -> None:
     readings, truth = made.readings, made.groundtruth
     imu = start.imu_of(readings)
     own = (truth.stamps - START_NS) / 1e9
-    found = start.rough_orientations(own, truth.positions, imu)
-    apart = made.motion.rotations(own).inv() * Rotation.from_quat(found)
+    result = start.rough_orientations(own, truth.positions, imu)
+    apart = made.motion.rotations(own).inv() * Rotation.from_quat(result)
     # Good enough for a start: the gyroscope's drift within windows of 5 s is about 3 deg.
     assert np.degrees(np.median(apart.magnitude())) < 6.0
     guess = start.guess_of(truth, imu)

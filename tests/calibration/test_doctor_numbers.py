@@ -80,8 +80,8 @@ def test_what_is_repaired_is_what_is_found(found: ExaminedGroundtruth) -> None:
     assert fits.rig.skew == pytest.approx(values[7] / 1e6, abs=2e-5)
     np.testing.assert_allclose(fits.hand_eye.lever_m, fits.rig.lever)
     np.testing.assert_allclose(fits.hand_eye.lever_m, values[LEVER] / 1e3, atol=1e-3)
-    turned = Rotation.from_quat(fits.hand_eye.rotation_xyzw).as_matrix()
-    np.testing.assert_allclose(turned, fits.rig.body, atol=1e-12)
+    rotated = Rotation.from_quat(fits.hand_eye.rotation_xyzw).as_matrix()
+    np.testing.assert_allclose(rotated, fits.rig.body, atol=1e-12)
     assert np.linalg.norm(fits.rig.gravity) == pytest.approx(9.81)
     # Times of the residuals are of the knots, half a second inside.
     seconds = fits.short.seconds
@@ -98,9 +98,9 @@ def test_what_is_repaired_is_what_is_found(found: ExaminedGroundtruth) -> None:
 @pytest.mark.slow
 def test_positions_alone_have_wider_clocks() -> None:
     bare = dataclasses.replace(MADE.groundtruth, quaternions=None)
-    found = examine(bare, MADE.readings)
-    assert found.fits is not None
-    brief, lasting = found.fits.short, found.fits.long
+    result = examine(bare, MADE.readings)
+    assert result.fits is not None
+    brief, lasting = result.fits.short, result.fits.long
     apart = np.abs(lasting.values - brief.values)
     floors = floors_along_force()
     floors[3:] = np.maximum(floors[3:], apart[3:])
@@ -108,13 +108,13 @@ def test_positions_alone_have_wider_clocks() -> None:
     sigmas = np.hypot(brief.sigmas, floors)
     for name in ("clock_offset", "clock_skew"):
         column = PARAMETERS[name].columns.start
-        assert found.causes[name].standard_deviation == pytest.approx(sigmas[column], rel=1e-9)
+        assert result.causes[name].standard_deviation == pytest.approx(sigmas[column], rel=1e-9)
     size = np.linalg.norm(brief.values[LEVER])
     along = np.linalg.norm(brief.values[LEVER] * sigmas[LEVER]) / size
-    assert found.causes["lever_arm"].standard_deviation == pytest.approx(along, rel=1e-9)
+    assert result.causes["lever_arm"].standard_deviation == pytest.approx(along, rel=1e-9)
     # A clock whose interval contains zero is not applied.
     skew = abs(brief.values[SKEW]) >= HALF_WIDTH * sigmas[SKEW]
-    assert (found.fits.rig.skew != 0.0) == skew
+    assert (result.fits.rig.skew != 0.0) == skew
 
 
 @pytest.mark.parametrize(
@@ -140,14 +140,14 @@ def test_accelerations_are_in_metres(size: float, refused: bool) -> None:
 def test_a_summary_has_the_larger_variance_in_its_units() -> None:
     fit = small_rig().fit()
     fit.rig = dataclasses.replace(fit.rig, shift_s=0.5)
-    found = fit.summary()
-    assert found.values[OFFSET] == pytest.approx(520.0)
-    np.testing.assert_allclose(found.values, fit.rig.values() * UNITS)
+    result = fit.summary()
+    assert result.values[OFFSET] == pytest.approx(520.0)
+    np.testing.assert_allclose(result.values, fit.rig.values() * UNITS)
     variances = [np.diag(item) for item in (fit.covariance_of_blocks, fit.covariance_of_model)]
-    np.testing.assert_allclose(found.sigmas, np.sqrt(np.maximum(*variances)) * UNITS)
-    np.testing.assert_allclose(found.seconds, fit.steps.knots[:4] - 0.1, atol=1e-12)
+    np.testing.assert_allclose(result.sigmas, np.sqrt(np.maximum(*variances)) * UNITS)
+    np.testing.assert_allclose(result.seconds, fit.steps.knots[:4] - 0.1, atol=1e-12)
     lengths = np.linalg.norm(fit.rows.residuals.reshape(4, 2, 3), axis=2)
-    np.testing.assert_allclose(found.residuals, lengths)
+    np.testing.assert_allclose(result.residuals, lengths)
     assert UNITS.tolist() == pytest.approx(
         [np.degrees(1.0)] * 3 + [1e3] * 4 + [1e6] + [np.degrees(1.0)] * 2
     )
@@ -207,8 +207,8 @@ def test_noise_is_what_zero_explains_better() -> None:
             samples=SimpleNamespace(has_rotations=has_rotations),
             free=np.arange(10) != 9,
         )
-        found = SimpleNamespace(values=values, sigmas=np.full(10, 0.5))
-        return _noisy(case, found).tolist()  # type: ignore[arg-type]
+        result = SimpleNamespace(values=values, sigmas=np.full(10, 0.5))
+        return _noisy(case, result).tolist()  # type: ignore[arg-type]
 
     # Akaike: a parameter is worth two units of chi2, and along gravity the limit is 2.2.
     below = np.array([0.7, 0.7, 0.7, 0.7, 1.09, 0.7, 0.7, 0.7, 0.7, 9.0])

@@ -45,13 +45,13 @@ def moved(rig: Rig, knot: int, state: Array, calibration: Array) -> Rig:
 
 def test_a_rig_predicts_its_samples(small: Small) -> None:
     motions = small.steps.motions(small.rig.biases[:-1])
-    found = predict(small.samples, small.steps, motions, small.rig)
+    result = predict(small.samples, small.steps, motions, small.rig)
     own = small.samples.seconds
     seconds = own + 0.02 + 1e-3 * (own - 0.5 * (own[0] + own[-1]))
     inside = np.flatnonzero((seconds >= 0.105) & (seconds < 0.505))
-    np.testing.assert_array_equal(found.rows, inside)
-    np.testing.assert_allclose(np.linalg.norm(found.position_errors, axis=1), 0.02, rtol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(found.rotation_errors, axis=1), 0.03, rtol=1e-9)
+    np.testing.assert_array_equal(result.rows, inside)
+    np.testing.assert_allclose(np.linalg.norm(result.position_errors, axis=1), 0.02, rtol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(result.rotation_errors, axis=1), 0.03, rtol=1e-9)
     # The marker's velocity is the derivative of its position.
     ahead, behind = (
         rig_at(seconds[inside] + step, small.steps, motions, small.rig) for step in (STEP, -STEP)
@@ -60,9 +60,9 @@ def test_a_rig_predicts_its_samples(small: Small) -> None:
     change = (ahead.positions + ahead.rotations @ arm) - (
         behind.positions + behind.rotations @ arm
     )
-    np.testing.assert_allclose(found.marker_velocities, change / (2 * STEP), atol=1e-6)
-    turns = so3.log(np.swapaxes(behind.rotations, 1, 2) @ ahead.rotations) / (2.0 * STEP)
-    np.testing.assert_allclose(found.rates, turns, atol=1e-6)
+    np.testing.assert_allclose(result.marker_velocities, change / (2 * STEP), atol=1e-6)
+    rotations = so3.log(np.swapaxes(behind.rotations, 1, 2) @ ahead.rotations) / (2.0 * STEP)
+    np.testing.assert_allclose(result.rates, rotations, atol=1e-6)
 
 
 def test_a_constant_force_without_turns_is_a_parabola() -> None:
@@ -78,17 +78,19 @@ def test_a_constant_force_without_turns_is_a_parabola() -> None:
     )  # fmt: skip
     motions = steps.motions(rig.biases[:-1])
     at = np.array([0.105, 0.2, 0.304, 0.4, 0.5])
-    found = rig_at(at, steps, motions, rig)
-    assert found.knots.tolist() == [0, 0, 0, 1, 1]
-    tau = (at - np.array([0.105, 0.305])[found.knots])[:, None]
+    result = rig_at(at, steps, motions, rig)
+    assert result.knots.tolist() == [0, 0, 0, 1, 1]
+    tau = (at - np.array([0.105, 0.305])[result.knots])[:, None]
     own = force - [0.1, 0.2, 0.3]
     acceleration = start @ own + rig.gravity
-    np.testing.assert_allclose(found.since_s, tau, atol=1e-12)
-    np.testing.assert_allclose(found.velocities, rig.velocities[0] + acceleration * tau, rtol=1e-9)
+    np.testing.assert_allclose(result.since_s, tau, atol=1e-12)
+    np.testing.assert_allclose(
+        result.velocities, rig.velocities[0] + acceleration * tau, rtol=1e-9
+    )
     expected = rig.positions[0] + rig.velocities[0] * tau + 0.5 * acceleration * tau**2
-    np.testing.assert_allclose(found.positions, expected, rtol=1e-9)
-    np.testing.assert_allclose(found.moved, 0.5 * own * tau**2, atol=1e-12)
-    np.testing.assert_allclose(found.rotations, np.tile(start, (5, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(result.positions, expected, rtol=1e-9)
+    np.testing.assert_allclose(result.moved, 0.5 * own * tau**2, atol=1e-12)
+    np.testing.assert_allclose(result.rotations, np.tile(start, (5, 1, 1)), atol=1e-12)
 
 
 def test_rows_of_samples_are_derivatives(small: Small) -> None:
@@ -96,8 +98,8 @@ def test_rows_of_samples_are_derivatives(small: Small) -> None:
 
     def residuals(rig: Rig) -> Array:
         changed = small.steps.motions(rig.biases[:-1])
-        found = predict(small.samples, small.steps, changed, rig)
-        return averaged(found, rig, small.samples).residuals
+        result = predict(small.samples, small.steps, changed, rig)
+        return averaged(result, rig, small.samples).residuals
 
     rows = averaged(
         predict(small.samples, small.steps, motions, small.rig), small.rig, small.samples
@@ -105,7 +107,7 @@ def test_rows_of_samples_are_derivatives(small: Small) -> None:
     assert rows.knots.tolist() == [0, 1, 2, 3]
     nothing = np.zeros(15)
     # A knot is 0.1 s and errors of rotation are 0.03 rad: what the means leave out is smaller.
-    turn = float(np.linalg.norm(small.steps.rates, axis=2).max()) * 0.1
+    rotation = float(np.linalg.norm(small.steps.rates, axis=2).max()) * 0.1
     # The skew is linearised at the first sample of a knot.
     first = small.samples.seconds[[0, 4, 8, 12]] - small.samples.middle_s
     np.testing.assert_allclose(rows.by_rig[..., SKEW], rows.by_rig[..., OFFSET] * first[:, None])
@@ -126,7 +128,7 @@ def test_rows_of_samples_are_derivatives(small: Small) -> None:
                 for sign in (1.0, -1.0)
             )
             change = (ahead - behind)[place] / (2.0 * STEP)
-            error = turn if column in range(9, 15) else 0.04
+            error = rotation if column in range(9, 15) else 0.04
             np.testing.assert_allclose(
                 rows.by_state[place, :, column],
                 change,
@@ -217,10 +219,10 @@ def test_normal_equations_are_dense_ones(small: Small) -> None:
     sigmas = np.sqrt(np.diag(inverse)[:75].reshape(5, 15))
     np.testing.assert_allclose(states / sigmas, step[:75].reshape(5, 15) / sigmas, atol=1e-4)
     pose = np.r_[6:9, 0:3]
-    for knot, found in enumerate(fit.pose_covariances()):
+    for knot, result in enumerate(fit.pose_covariances()):
         rows = 15 * knot + pose
         unit = np.outer(sigmas[knot, pose], sigmas[knot, pose])
-        np.testing.assert_allclose(found / unit, inverse[np.ix_(rows, rows)] / unit, atol=1e-6)
+        np.testing.assert_allclose(result / unit, inverse[np.ix_(rows, rows)] / unit, atol=1e-6)
 
 
 def test_a_fixed_direction_of_the_lever_arm_does_not_move(small: Small) -> None:
@@ -238,18 +240,20 @@ def test_a_fixed_direction_of_the_lever_arm_does_not_move(small: Small) -> None:
 def test_a_step_of_a_rig_perturbs_rotations_on_the_right(small: Small) -> None:
     rig, generator = small.rig, np.random.default_rng(1)
     states, calibration = generator.normal(size=(5, 15)), 0.1 * generator.normal(size=10)
-    found = rig.moved(states, calibration)
-    turns = np.swapaxes(rig.rotations, 1, 2) @ found.rotations
-    np.testing.assert_allclose(turns, Rotation.from_rotvec(states[:, :3]).as_matrix(), atol=1e-12)
+    result = rig.moved(states, calibration)
+    rotations = np.swapaxes(rig.rotations, 1, 2) @ result.rotations
+    np.testing.assert_allclose(
+        rotations, Rotation.from_rotvec(states[:, :3]).as_matrix(), atol=1e-12
+    )
     before = np.hstack([rig.velocities, rig.positions, rig.biases])
-    after = np.hstack([found.velocities, found.positions, found.biases])
+    after = np.hstack([result.velocities, result.positions, result.biases])
     np.testing.assert_allclose(after - before, states[:, 3:], atol=1e-12)
-    turn = so3.log((rig.body.T @ found.body)[None])[0]
-    np.testing.assert_allclose(turn, calibration[BODY], atol=1e-12)
-    np.testing.assert_allclose(found.lever - rig.lever, calibration[LEVER], atol=1e-12)
-    assert found.offset_s - rig.offset_s == pytest.approx(calibration[OFFSET])
-    assert found.skew - rig.skew == pytest.approx(calibration[SKEW])
-    assert np.linalg.norm(found.gravity) == pytest.approx(np.linalg.norm(rig.gravity))
+    rotation = so3.log((rig.body.T @ result.body)[None])[0]
+    np.testing.assert_allclose(rotation, calibration[BODY], atol=1e-12)
+    np.testing.assert_allclose(result.lever - rig.lever, calibration[LEVER], atol=1e-12)
+    assert result.offset_s - rig.offset_s == pytest.approx(calibration[OFFSET])
+    assert result.skew - rig.skew == pytest.approx(calibration[SKEW])
+    assert np.linalg.norm(result.gravity) == pytest.approx(np.linalg.norm(rig.gravity))
     # Gravity turns by the two angles about horizontal axes, to first order.
     tiny = rig.moved(np.zeros((5, 15)), 1e-6 * calibration)
     change = (tiny.gravity - rig.gravity) / 1e-6
@@ -262,9 +266,9 @@ def test_tangents_of_gravity_keep_its_magnitude_and_change_its_components() -> N
         (0, np.array([9.0, 1.0, 2.0])),
         (1, np.array([0.1, -9.8, 0.3])),
     ):
-        found = tangents(gravity)
-        np.testing.assert_allclose(gravity @ found, 0.0, atol=1e-9)
-        components = np.delete(found, up, axis=0) / np.linalg.norm(gravity)
+        result = tangents(gravity)
+        np.testing.assert_allclose(gravity @ result, 0.0, atol=1e-9)
+        components = np.delete(result, up, axis=0) / np.linalg.norm(gravity)
         np.testing.assert_allclose(components, np.eye(2), rtol=1e-12, atol=1e-12)
 
 
@@ -286,13 +290,15 @@ def test_a_rig_without_parameters_keeps_its_marker(small: Small) -> None:
     rig = small.rig
     fixed = np.zeros(10, dtype=bool)
     fixed[[0, 1, 2, 4, OFFSET, SKEW]] = True
-    found = dataclasses.replace(rig, shift_s=0.5).without(fixed)
-    np.testing.assert_array_equal(found.body, np.eye(3))
-    np.testing.assert_array_equal(found.lever, rig.lever * [1.0, 0.0, 1.0])
-    assert (found.offset_s, found.skew) == (-0.5, 0.0)
-    np.testing.assert_allclose(found.rotations, rig.rotations @ rig.body, atol=1e-12)
+    result = dataclasses.replace(rig, shift_s=0.5).without(fixed)
+    np.testing.assert_array_equal(result.body, np.eye(3))
+    np.testing.assert_array_equal(result.lever, rig.lever * [1.0, 0.0, 1.0])
+    assert (result.offset_s, result.skew) == (-0.5, 0.0)
+    np.testing.assert_allclose(result.rotations, rig.rotations @ rig.body, atol=1e-12)
     marker = rig.positions + rig.rotations @ rig.lever
-    np.testing.assert_allclose(found.positions + found.rotations @ found.lever, marker, atol=1e-12)
+    np.testing.assert_allclose(
+        result.positions + result.rotations @ result.lever, marker, atol=1e-12
+    )
     same = rig.without(np.zeros(10, dtype=bool))
     np.testing.assert_allclose(same.rotations, rig.rotations, atol=1e-12)
     np.testing.assert_allclose(same.positions, rig.positions, atol=1e-12)

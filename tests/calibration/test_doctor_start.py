@@ -81,25 +81,25 @@ def test_the_first_rig_is_near_the_true_one() -> None:
     samples = TruthSamples(own, truth.positions, truth.quaternions, True)
     imu = ImuSeconds((readings.stamps - START_NS) / 1e9, readings.rates, readings.accelerations)
     knots = start.knots_of(samples, imu, 0.1)
-    found = start.first_rig(samples, imu, knots)
+    result = start.first_rig(samples, imu, knots)
     body = Rotation.from_euler("xyz", [0, 0, 0]) * Rotation.from_rotvec([20, -10, 5], degrees=True)
-    apart = (body.inv() * Rotation.from_matrix(found.body)).magnitude()
+    apart = (body.inv() * Rotation.from_matrix(result.body)).magnitude()
     assert np.degrees(apart) < 0.2
-    turned = made.motion.rotations(knots).inv() * Rotation.from_matrix(found.rotations)
-    assert np.degrees(turned.magnitude().max()) < 0.5
-    np.testing.assert_allclose(found.positions, made.motion.positions(knots), atol=1e-3)
+    rotated = made.motion.rotations(knots).inv() * Rotation.from_matrix(result.rotations)
+    assert np.degrees(rotated.magnitude().max()) < 0.5
+    np.testing.assert_allclose(result.positions, made.motion.positions(knots), atol=1e-3)
     # Of differences over 0.2 s, the error is a sixth of the third derivative times 0.01 s^2.
     jerk = np.abs(made.motion.positions(knots, 3)).max()
-    error = np.abs(found.velocities - made.motion.positions(knots, 1)).max()
+    error = np.abs(result.velocities - made.motion.positions(knots, 1)).max()
     assert error < 0.01 * jerk / 6.0 + 2e-5
-    assert np.linalg.norm(found.gravity) == pytest.approx(9.81)
-    assert found.gravity[2] < -9.7
+    assert np.linalg.norm(result.gravity) == pytest.approx(9.81)
+    assert result.gravity[2] < -9.7
     # The gyroscope's bias is drawn with 0.01 rad/s, and its noise averages out.
     generator = np.random.default_rng([3, 38])
     generator.uniform(size=(5, 6)), generator.uniform(size=(5, 6)), generator.uniform(size=(5, 6))
     bias = generator.normal(0.0, 0.01, 3)
-    np.testing.assert_allclose(found.biases[0, :3], bias, atol=1.5e-3)
-    assert not found.biases[:, 3:].any()
+    np.testing.assert_allclose(result.biases[0, :3], bias, atol=1.5e-3)
+    assert not result.biases[:, 3:].any()
     same = start.first_rig(dataclasses.replace(samples, has_rotations=False), imu, knots)
     np.testing.assert_array_equal(same.body, np.eye(3))
     assert not same.biases.any()
@@ -121,9 +121,9 @@ def test_the_first_rig_of_a_car_is_turned_by_its_accelerations(turn_deg: float) 
     made = rig(2, "car", duration_s=60.0, turn_deg=(0.0, 0.0, turn_deg))
     case = start.prepared(made.groundtruth, made.readings, 0.0)
     assert turns_about_one_axis(case.imu.rates)
-    found = start.first_rig(case.samples, case.imu, start.knots_of(case.samples, case.imu, 0.1))
+    result = start.first_rig(case.samples, case.imu, start.knots_of(case.samples, case.imu, 0.1))
     body = Rotation.from_rotvec([0.0, 0.0, turn_deg], degrees=True)
-    apart = (body.inv() * Rotation.from_matrix(found.body)).magnitude()
+    apart = (body.inv() * Rotation.from_matrix(result.body)).magnitude()
     # Accelerations give it up to the drift of the gyroscope within five seconds: its bias is
     # drawn with 0.01 rad/s.
     assert np.degrees(apart) < 5.0

@@ -79,25 +79,25 @@ def test_a_marker_and_its_clock_are_found_and_applied(
     files: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = run_of([*files, "--time-offset", "auto", "--hand-eye", "auto"], capsys)
-    found = run["calibration"]
-    offset, hand_eye = found["time_offset"], found["hand_eye"]
+    result = run["calibration"]
+    offset, hand_eye = result["time_offset"], result["hand_eye"]
     assert offset["applied"]
     assert offset["status"] == "significant"
     assert abs(offset["value_s"] - 0.1) < offset["half_width_95_s"]
     assert run["association"]["time_offset_s"] == offset["value_s"]
-    turn = Rotation.from_quat(hand_eye["rotation"]["xyzw"])
+    rotation = Rotation.from_quat(hand_eye["rotation"]["xyzw"])
     true = Rotation.from_rotvec(FAULT.rotation_vector)
-    assert np.degrees((true.inv() * turn).magnitude()) < 0.2
+    assert np.degrees((true.inv() * rotation).magnitude()) < 0.2
     assert hand_eye["rotation"]["applied"]
     assert hand_eye["lever_arm"]["applied"]
     lever_m = np.array(hand_eye["lever_arm"]["value_m"])
     assert (np.abs(lever_m - FAULT.lever_m) < hand_eye["lever_arm"]["half_width_95_m"]).all()
-    assert found["errors_of"] == "body"
-    assert found["parameters_applied"] == 7
-    assert found["ate"]["after"]["position_m"] == run["ate"]["position_m"]["rmse"]
-    assert found["ate"]["after"]["position_m"] < 0.7 * found["ate"]["before"]["position_m"]
-    assert found["ate"]["before"]["rotation_deg"] > 100.0
-    assert found["ate"]["after"]["rotation_deg"] < 3.0
+    assert result["errors_of"] == "body"
+    assert result["parameters_applied"] == 7
+    assert result["ate"]["after"]["position_m"] == run["ate"]["position_m"]["rmse"]
+    assert result["ate"]["after"]["position_m"] < 0.7 * result["ate"]["before"]["position_m"]
+    assert result["ate"]["before"]["rotation_deg"] > 100.0
+    assert result["ate"]["after"]["rotation_deg"] < 3.0
 
 
 @pytest.mark.parametrize(("time_offset_s", "codes"), [(0.0, 1), (0.1, 0)])
@@ -119,13 +119,13 @@ def test_clocks_that_overlap_by_a_pair_or_two_are_brought_together(pairs: int) -
     # The estimate's first stamps are the groundtruth's last, by its own clock.
     apart_ns = int(truth.stamps[-1] - estimate.stamps[0]) - round((pairs - 1) * 0.05 * 1e9)
     apart = dataclasses.replace(estimate, stamps=estimate.stamps + apart_ns)
-    found = evaluate_calibrated(truth, apart, YAW, CalibrationRequest(offset=True))
-    assert found.offset_applied
-    assert found.calibration is not None
-    assert found.calibration.offset.value == pytest.approx([-apart_ns / 1e9], abs=5e-3)
-    assert (found.before is None) == (pairs < YAW.gauge.minimum_states)
-    said = "before, too few pairs for an alignment" in calibration_lines("", found)[-1]
-    assert said == (found.before is None)
+    result = evaluate_calibrated(truth, apart, YAW, CalibrationRequest(offset=True))
+    assert result.offset_applied
+    assert result.calibration is not None
+    assert result.calibration.offset.value == pytest.approx([-apart_ns / 1e9], abs=5e-3)
+    assert (result.before is None) == (pairs < YAW.gauge.minimum_states)
+    text = "before, too few pairs for an alignment" in calibration_lines("", result)[-1]
+    assert text == (result.before is None)
 
 
 @pytest.mark.slow
@@ -153,13 +153,13 @@ def test_the_terminal_says_what_was_done(
 def test_a_right_calibration_is_left_alone() -> None:
     truth, estimate = fly(3, 90.0)
     plain = evaluate(truth, estimate, YAW)
-    found = evaluate_calibrated(truth, estimate, YAW, AUTO)
-    assert not found.offset_applied
-    assert found.hand_eye is None
-    assert found.after == found.before
-    assert found.evaluation.ate == plain.ate
-    assert found.if_applied is not None
-    assert found.if_applied.position_m == pytest.approx(found.after.position_m, rel=0.03)
+    result = evaluate_calibrated(truth, estimate, YAW, AUTO)
+    assert not result.offset_applied
+    assert result.hand_eye is None
+    assert result.after == result.before
+    assert result.evaluation.ate == plain.ate
+    assert result.if_applied is not None
+    assert result.if_applied.position_m == pytest.approx(result.after.position_m, rel=0.03)
 
 
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3, Gauge.SIM3])
@@ -169,15 +169,15 @@ def test_positions_alone_have_the_estimate_moved_to_the_marker(gauge: Gauge) -> 
         estimate = dataclasses.replace(estimate, positions=2.0 * estimate.positions)
     truth = dataclasses.replace(truth, quaternions=None)
     protocol = dataclasses.replace(YAW, gauge=gauge)
-    found = evaluate_calibrated(truth, estimate, protocol, AUTO)
-    assert found.of_marker
-    assert found.lever_applied
-    assert not found.rotation_applied
-    assert found.before is not None
-    assert found.after.position_m < 0.8 * found.before.position_m
+    result = evaluate_calibrated(truth, estimate, protocol, AUTO)
+    assert result.of_marker
+    assert result.lever_applied
+    assert not result.rotation_applied
+    assert result.before is not None
+    assert result.after.position_m < 0.8 * result.before.position_m
     known = CalibrationRequest(known=HandEye.of(None, np.array(FAULT.lever_m)), source="x.yaml")
     given = evaluate_calibrated(truth, estimate, protocol, known)
-    assert given.after.position_m == pytest.approx(found.after.position_m, rel=0.05)
+    assert given.after.position_m == pytest.approx(result.after.position_m, rel=0.05)
 
 
 def test_a_lever_arm_along_the_only_axis_is_not_said_to_be_known() -> None:
@@ -191,28 +191,28 @@ def test_a_lever_arm_along_the_only_axis_is_not_said_to_be_known() -> None:
         ]
     )
     yaw = 1.5 * np.sin(0.5 * times) + 0.8 * np.sin(2.1 * times)
-    turned = Rotation.from_rotvec(np.outer(yaw, [0.0, 0.0, 1.0]))
+    rotated = Rotation.from_rotvec(np.outer(yaw, [0.0, 0.0, 1.0]))
     shaken = Rotation.from_rotvec(random.normal(0.0, 1e-3, body.shape))
     stamps = np.rint(times * 1e9).astype(np.int64)
     drift = np.cumsum(random.normal(0.0, 2e-4, body.shape), axis=0)
-    marker = body + turned.apply(FAULT.lever_m) + random.normal(0.0, 1e-3, body.shape)
-    found = evaluate_calibrated(
-        Trajectory(stamps, marker, (turned * shaken).as_quat()),
-        Trajectory(stamps, body + drift, turned.as_quat()),
+    marker = body + rotated.apply(FAULT.lever_m) + random.normal(0.0, 1e-3, body.shape)
+    result = evaluate_calibrated(
+        Trajectory(stamps, marker, (rotated * shaken).as_quat()),
+        Trajectory(stamps, body + drift, rotated.as_quat()),
         YAW,
         CalibrationRequest(hand_eye=True),
     )
-    assert found.lever_applied
-    assert not found.rotation_applied
-    assert found.parameters_applied == 2
-    written = calibration_json(found)["hand_eye"]["lever_arm"]
+    assert result.lever_applied
+    assert not result.rotation_applied
+    assert result.parameters_applied == 2
+    written = calibration_json(result)["hand_eye"]["lever_arm"]
     for name in ("sigma_m", "half_width_95_m"):
         assert None not in written[name][:2]
         assert written[name][2] is None
     assert written["value_m"] == pytest.approx([*LEVER_M[:2], 0.0], abs=2e-3)
     (line,) = (
         calibration_line
-        for calibration_line in calibration_lines("", found)
+        for calibration_line in calibration_lines("", result)
         if "lever arm" in calibration_line
     )
     assert re.search(r"m \+- 0\.000\d+ 0\.000\d+ \? \(95 %\)", line)
@@ -225,10 +225,10 @@ def swinging(extent_m: float, scale: float) -> tuple[Trajectory, Trajectory]:
         [np.sin(0.2 * times), 0.8 * np.cos(0.17 * times), 0.2 * np.sin(0.31 * times)]
     )
     angles = np.column_stack([0.2 * times, 0.1 * np.sin(times), 0.1 * np.cos(times)])
-    turned = Rotation.from_euler("ZYX", angles)
+    rotated = Rotation.from_euler("ZYX", angles)
     stamps = np.rint(times * 1e9).astype(np.int64)
-    truth = Trajectory(stamps, body + turned.apply(FAULT.lever_m))
-    return truth, Trajectory(stamps, body / scale, turned.as_quat())
+    truth = Trajectory(stamps, body + rotated.apply(FAULT.lever_m))
+    return truth, Trajectory(stamps, body / scale, rotated.as_quat())
 
 
 SIM3 = dataclasses.replace(YAW, gauge=Gauge.SIM3)
@@ -239,21 +239,21 @@ LEVER = HandEye.of(None, LEVER_M)
 @pytest.mark.parametrize("scale", [1e-3, 0.05, 1.0, 1.3, 10.0, 500.0])
 def test_a_lever_arm_in_metres_fits_an_estimate_of_any_unit(extent_m: float, scale: float) -> None:
     truth, estimate = swinging(extent_m, scale)
-    found = evaluate_calibrated(
+    result = evaluate_calibrated(
         truth, estimate, SIM3, CalibrationRequest(known=LEVER, source="x.yaml")
     )
-    assert found.after.position_m < 1e-9
-    assert found.evaluation.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
+    assert result.after.position_m < 1e-9
+    assert result.evaluation.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
 
 
 def test_the_marker_is_moved_by_the_alignment_s_own_scale() -> None:
     truth, estimate = swinging(2.0, 7.0)
     noise = np.random.default_rng(0).normal(0.0, 0.02, (len(estimate), 3))
     estimate = dataclasses.replace(estimate, positions=estimate.positions + noise)
-    found = evaluate_calibrated(
+    result = evaluate_calibrated(
         truth, estimate, SIM3, CalibrationRequest(known=LEVER, source="x.yaml")
     )
-    scale = found.evaluation.alignment.similarity.scale
+    scale = result.evaluation.alignment.similarity.scale
     again = evaluate(truth, LEVER.of_marker(estimate, scale), SIM3)
     assert again.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
 
@@ -301,17 +301,17 @@ def test_a_transform_of_a_file_is_applied_as_given(
 ) -> None:
     file = transform(tmp_path / "marker.yaml")
     run = run_of([*files, "--time-offset", "auto", "--hand-eye", file], capsys)
-    found = run["calibration"]
-    assert found["hand_eye"]["source"] == file
-    assert found["parameters_applied"] == 1
-    assert found["T_body_marker"]["header"]["frame_id"] == "imu"
-    assert found["T_body_marker"]["transform"]["translation"]["x"] == 0.1
+    result = run["calibration"]
+    assert result["hand_eye"]["source"] == file
+    assert result["parameters_applied"] == 1
+    assert result["T_body_marker"]["header"]["frame_id"] == "imu"
+    assert result["T_body_marker"]["transform"]["translation"]["x"] == 0.1
     assert run["ate"]["rotation_deg"]["rmse"] < 3.0
     # JSON is YAML: what a result holds can be given to the next run.
     again = tmp_path / "again.yaml"
-    again.write_text(json.dumps(found["T_body_marker"]))
+    again.write_text(json.dumps(result["T_body_marker"]))
     repeated = run_of(
-        [*files, "--time-offset", str(found["time_offset"]["value_s"]), "--hand-eye", str(again)],
+        [*files, "--time-offset", str(result["time_offset"]["value_s"]), "--hand-eye", str(again)],
         capsys,
     )
     assert repeated["ate"] == run["ate"]
@@ -331,9 +331,9 @@ def test_moving_there_and_back_changes_nothing(pair: tuple[Trajectory, Trajector
 def test_velocities_of_another_point_are_left_out(pair: tuple[Trajectory, Trajectory]) -> None:
     truth, _ = pair
     moving = dataclasses.replace(truth, velocities=np.ones((len(truth), 3)))
-    arm, turn = np.array([0.1, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-    assert HandEye.of(turn, arm).of_body(moving).velocities is None
-    assert HandEye.of(turn, None).of_body(moving).velocities is not None
+    arm, rotation = np.array([0.1, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    assert HandEye.of(rotation, arm).of_body(moving).velocities is None
+    assert HandEye.of(rotation, None).of_body(moving).velocities is not None
 
 
 @pytest.mark.parametrize(
@@ -404,8 +404,8 @@ def test_the_inverse_of_what_is_needed_is_refused(pair: tuple[Trajectory, Trajec
     with pytest.raises(Exception, match="give its inverse, with frame_id imu"):
         evaluate_calibrated(truth, estimate, YAW, CalibrationRequest(known=wrong, source="x"))
     right = dataclasses.replace(hand_eye, body="imu", marker="marker")
-    found = evaluate_calibrated(truth, estimate, YAW, CalibrationRequest(known=right, source="x"))
-    assert found.evaluation.groundtruth.child_frame == "imu"
+    result = evaluate_calibrated(truth, estimate, YAW, CalibrationRequest(known=right, source="x"))
+    assert result.evaluation.groundtruth.child_frame == "imu"
 
 
 def test_a_simulated_marker_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -432,6 +432,8 @@ def test_another_clock_without_a_single_match_is_told_why() -> None:
 def circle_for(seconds: float) -> Trajectory:
     times = np.arange(0.0, seconds, 0.05)
     angles = np.sin(2.0 * times)
-    turns = np.column_stack([np.zeros((len(times), 2)), np.sin(angles / 2), np.cos(angles / 2)])
+    rotations = np.column_stack(
+        [np.zeros((len(times), 2)), np.sin(angles / 2), np.cos(angles / 2)]
+    )
     places = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(times))])
-    return Trajectory((times * NANOSECONDS).astype(np.int64), places, turns)
+    return Trajectory((times * NANOSECONDS).astype(np.int64), places, rotations)

@@ -143,8 +143,8 @@ def test_pairs_do_not_cross_gaps() -> None:
 def test_closest_rotations_are_scipys(seed: int) -> None:
     generator = np.random.default_rng(seed)
     vectors, noise = generator.normal(size=(2, 12, 3))
-    turn = Rotation.from_rotvec(generator.normal(size=3))
-    targets = turn.apply(vectors) + 0.3 * noise
+    rotation = Rotation.from_rotvec(generator.normal(size=3))
+    targets = rotation.apply(vectors) + 0.3 * noise
     weights = generator.uniform(0.1, 5.0, size=12)
     expected, _ = Rotation.align_vectors(targets, vectors, weights)
     result = closest_rotation(targets, vectors, weights)
@@ -165,11 +165,11 @@ def test_closest_rotations_are_scipys(seed: int) -> None:
 def test_outliers_hardly_turn_a_robust_rotation() -> None:
     generator = np.random.default_rng(0)
     vectors = generator.normal(size=(200, 3))
-    turn = Rotation.from_rotvec([0.3, 0.6, -1.0])
-    targets = turn.apply(vectors) + 1e-3 * generator.normal(size=(200, 3))
+    rotation = Rotation.from_rotvec([0.3, 0.6, -1.0])
+    targets = rotation.apply(vectors) + 1e-3 * generator.normal(size=(200, 3))
     targets[:40] = generator.normal(size=(40, 3)) + [3.0, 0.0, 0.0]
-    apart = turn.inv() * Rotation.from_matrix(robust_rotation(targets, vectors))
-    plain = turn.inv() * Rotation.from_matrix(closest_rotation(targets, vectors))
+    apart = rotation.inv() * Rotation.from_matrix(robust_rotation(targets, vectors))
+    plain = rotation.inv() * Rotation.from_matrix(closest_rotation(targets, vectors))
     assert apart.magnitude() < 0.05 * plain.magnitude()
     level = Rotation.from_rotvec([0.0, 0.0, 0.7])
     result = robust_rotation(level.apply(vectors), vectors, about_z=True)
@@ -180,11 +180,11 @@ def test_outliers_hardly_turn_a_robust_rotation() -> None:
 @settings(max_examples=10)
 def test_lever_arms_of_exact_motions(seed: int) -> None:
     generator = np.random.default_rng(seed)
-    turned = Rotation.from_rotvec(generator.normal(size=(20, 3))).as_matrix() - np.eye(3)
+    rotated = Rotation.from_rotvec(generator.normal(size=(20, 3))).as_matrix() - np.eye(3)
     steps, lever = generator.normal(size=(20, 3)), np.array([0.3, -0.2, 0.5])
     for scale, with_scale in ((1.0, False), (1.0, True), (2.5, True)):
         result, size = lever_arm(
-            turned, steps, scale * steps + turned @ lever, with_scale=with_scale
+            rotated, steps, scale * steps + rotated @ lever, with_scale=with_scale
         )
         np.testing.assert_allclose(result, lever, atol=1e-9)
         assert size == pytest.approx(scale)

@@ -54,14 +54,14 @@ def faulty() -> tuple[ExaminedRig, ExaminedGroundtruth]:
 def test_a_healthy_groundtruth_has_no_cause(
     healthy: tuple[ExaminedRig, ExaminedGroundtruth],
 ) -> None:
-    made, found = healthy
-    assert found.significant == []
-    fits = fits_of(found)
+    made, result = healthy
+    assert result.significant == []
+    fits = fits_of(result)
     assert not fits.disagree
     # The fit takes a part of the noise: less than a tenth.
     assert fits.position_noise_m == pytest.approx(5e-4, rel=0.1)
     assert fits.rotation_noise_rad == pytest.approx(2e-3, rel=0.1)
-    assert found.poses.position_noise_m == pytest.approx(5e-4, rel=0.1)
+    assert result.poses.position_noise_m == pytest.approx(5e-4, rel=0.1)
     # Insignificant parameters are not applied: timestamps and points are those of the input.
     assert set(fits.repaired.stamps.tolist()) <= set(made.groundtruth.stamps.tolist())
     assert not fits.hand_eye.lever_m.any()
@@ -74,39 +74,39 @@ def test_a_healthy_groundtruth_has_no_cause(
 def test_faults_are_significant_and_within_their_intervals(
     faulty: tuple[ExaminedRig, ExaminedGroundtruth],
 ) -> None:
-    _, found = faulty
-    assert set(verdicts(found).values()) == {"significant"}
+    _, result = faulty
+    assert set(verdicts(result).values()) == {"significant"}
     expected = {
         "body_rotation": FAULTS["turn_deg"], "lever_arm": np.multiply(1e3, FAULTS["lever_m"]),
         "clock_offset": [12.0], "clock_skew": [300.0],
     }  # fmt: skip
     for name, values in expected.items():
-        cause = found.causes[name]
+        cause = result.causes[name]
         assert cause.half_width is not None
         apart = np.linalg.norm(np.subtract(cause.components, values))
         assert apart < 2.0 * cause.half_width, name
-    assert found.causes["tilted"].value == pytest.approx(1.5, abs=0.16)
-    said = " ".join(item.sentence for item in found.significant)
-    assert "early: add 12.0 ms" in said
-    assert "ppm" in said
-    assert "z axis is tilted by 1.5" in said
+    assert result.causes["tilted"].value == pytest.approx(1.5, abs=0.16)
+    text = " ".join(item.sentence for item in result.significant)
+    assert "early: add 12.0 ms" in text
+    assert "ppm" in text
+    assert "z axis is tilted by 1.5" in text
 
 
 def test_the_repaired_groundtruth_is_of_the_imu(
     faulty: tuple[ExaminedRig, ExaminedGroundtruth],
 ) -> None:
-    made, found = faulty
-    repaired = fits_of(found).repaired
+    made, result = faulty
+    repaired = fits_of(result).repaired
     assert repaired.rotations is not None
     # In the tilted world of the groundtruth.
     level = Rotation.from_rotvec([-FAULTS["tilt_deg"], 0.0, 0.0], degrees=True)
-    turned = level * repaired.rotations
+    rotated = level * repaired.rotations
     in_world = dataclasses.replace(
-        repaired, positions=level.apply(repaired.positions), quaternions=turned.as_quat()
+        repaired, positions=level.apply(repaired.positions), quaternions=rotated.as_quat()
     )
     position_m, rotation_rad = made.errors(in_world)
     lever_mm, rotation_deg = (
-        found.causes[name].half_width for name in ("lever_arm", "body_rotation")
+        result.causes[name].half_width for name in ("lever_arm", "body_rotation")
     )
     assert lever_mm is not None
     assert rotation_deg is not None
@@ -123,17 +123,17 @@ def test_the_repaired_groundtruth_is_of_the_imu(
 @pytest.mark.parametrize("seed", [2, 8])
 def test_positions_alone_have_no_verdict_on_rotations(seed: int) -> None:
     made = rig(seed, lever_m=(0.05, -0.03, 0.02), offset_s=0.025)
-    found = examine(positions_of(made), made.readings)
+    result = examine(positions_of(made), made.readings)
     for name in ("body_rotation", "fused", "rotation_jumps"):
-        assert found.causes[name].verdict == "unobservable"
-        assert found.causes[name].value is None
-    assert any("errors of rotation are unobservable" in note for note in found.notes)
-    assert {item.name for item in found.significant} == {"lever_arm", "clock_offset"}
+        assert result.causes[name].verdict == "unobservable"
+        assert result.causes[name].value is None
+    assert any("errors of rotation are unobservable" in note for note in result.notes)
+    assert {item.name for item in result.significant} == {"lever_arm", "clock_offset"}
     for name, values in (("lever_arm", (50.0, -30.0, 20.0)), ("clock_offset", (25.0,))):
-        cause = found.causes[name]
+        cause = result.causes[name]
         assert cause.half_width is not None
         assert np.linalg.norm(np.subtract(cause.components, values)) < cause.half_width
-    fits = fits_of(found)
+    fits = fits_of(result)
     assert fits.rotation_noise_rad is None
     position_m, rotation_rad = made.errors(fits.repaired)
     assert fits.repaired.covariances is not None
@@ -151,18 +151,18 @@ def test_exact_positions_do_not_bend_the_clock() -> None:
 
 @pytest.mark.parametrize("seed", [5, 6])
 def test_heavy_tails_have_no_false_verdict(seed: int) -> None:
-    found = examined(rig(seed, tails=3.0))
-    assert set(verdicts(found).values()) <= {"insignificant"}
+    result = examined(rig(seed, tails=3.0))
+    assert set(verdicts(result).values()) <= {"insignificant"}
 
 
 def test_verdicts_do_not_depend_on_world_origin_of_time_or_order(
     faulty: tuple[ExaminedRig, ExaminedGroundtruth],
 ) -> None:
-    made, found = faulty
+    made, result = faulty
     up_is_y = Rotation.from_euler("x", -90.0, degrees=True) * Rotation.from_euler("z", 0.4)
     before = made.groundtruth
     assert before.rotations is not None
-    turned = dataclasses.replace(
+    rotated = dataclasses.replace(
         before,
         stamps=before.stamps - START_NS,
         positions=up_is_y.apply(before.positions) + 7.0,
@@ -174,10 +174,10 @@ def test_verdicts_do_not_depend_on_world_origin_of_time_or_order(
     shuffled = InertialReadings(
         readings.stamps[order] - START_NS, readings.rates[order], readings.accelerations[order]
     )
-    again = examine(turned, shuffled)
-    assert verdicts(again) == verdicts(found)
+    again = examine(rotated, shuffled)
+    assert verdicts(again) == verdicts(result)
     for name in CALIBRATION:
-        value = found.causes[name].value
+        value = result.causes[name].value
         assert again.causes[name].value == pytest.approx(value, rel=1e-6), name
 
 
@@ -207,9 +207,9 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
     kept = np.ones(len(positions), dtype=bool)
     kept[3300:3420] = False
     changed = dataclasses.replace(truth, positions=positions, quaternions=quaternions)[kept]
-    found = examine(changed, made.readings)
-    fits = fits_of(found)
-    assert set(verdicts(found).values()) == {"insignificant"}
+    result = examine(changed, made.readings)
+    fits = fits_of(result)
+    assert set(verdicts(result).values()) == {"insignificant"}
     # The pose also jumps at the end of the frozen interval.
     [jump] = [
         item
@@ -220,13 +220,13 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
     assert jump.size == pytest.approx(0.02, abs=3.0 * 1.1 * 5e-4)
     # A held pose is behind the motion, and an outlier, too.
     assert fits.checks.outlier_share == pytest.approx(130 / len(changed), rel=0.15)
-    [frozen] = found.poses.frozen
+    [frozen] = result.poses.frozen
     assert frozen.start_ns == truth.stamps[1500]
     assert frozen.duration_s == pytest.approx(0.59)
-    assert found.poses.held_share == pytest.approx(100 / len(changed), rel=0.1)
-    [gap] = found.poses.gaps
+    assert result.poses.held_share == pytest.approx(100 / len(changed), rel=0.1)
+    [gap] = result.poses.gaps
     assert gap.duration_s == pytest.approx(1.21)
-    names = {item.name for item in found.significant}
+    names = {item.name for item in result.significant}
     assert {"position_jumps", "outliers", "frozen", "held", "gaps", "missing"} <= names
     # The gap is bridged.
     steps = np.diff(fits.repaired.stamps)
@@ -239,8 +239,8 @@ def test_small_jumps_have_their_size(size_mm: float) -> None:
     truth = rig(12)
     positions = truth.groundtruth.positions.copy()
     positions[1203:] += np.array([0.6, -0.64, 0.48]) * 1e-3 * size_mm
-    found = examine(dataclasses.replace(truth.groundtruth, positions=positions), truth.readings)
-    [jump] = fits_of(found).checks.jumps
+    result = examine(dataclasses.replace(truth.groundtruth, positions=positions), truth.readings)
+    [jump] = fits_of(result).checks.jumps
     assert abs(jump.stamp_ns - int(truth.groundtruth.stamps[1203])) <= 30_000_000
     assert 1e3 * jump.size == pytest.approx(size_mm, abs=3.0 * 1.1 * 0.5)
 
@@ -250,39 +250,39 @@ def test_scale_errors_of_an_accelerometer_are_no_lever_arm() -> None:
     made = rig(1)
     assert made.readings.accelerations is not None
     scaled = dataclasses.replace(made.readings, accelerations=0.995 * made.readings.accelerations)
-    found = examine(made.groundtruth, scaled)
-    assert found.significant == []
-    size_mm = found.causes["lever_arm"].value
+    result = examine(made.groundtruth, scaled)
+    assert result.significant == []
+    size_mm = result.causes["lever_arm"].value
     assert size_mm is not None
     assert size_mm > 4.7  # larger than 1.4 standard deviations
-    assert not fits_of(found).hand_eye.lever_m.any()
-    position_m, _ = made.errors(fits_of(found).repaired)
+    assert not fits_of(result).hand_eye.lever_m.any()
+    position_m, _ = made.errors(fits_of(result).repaired)
     assert position_m < 5e-4 * np.sqrt(3.0)
 
 
 @pytest.mark.slow
 def test_clock_and_lever_arm_that_are_likely_but_not_significant_are_repaired() -> None:
     made = rig(4, offset_s=0.003, skew=-6e-5, lever_m=(0.004, -0.004, 0.0))
-    found = examined(made)
-    assert set(verdicts(found).values()) == {"insignificant"}
-    lever_m = fits_of(found).hand_eye.lever_m
+    result = examined(made)
+    assert set(verdicts(result).values()) == {"insignificant"}
+    lever_m = fits_of(result).hand_eye.lever_m
     np.testing.assert_allclose(lever_m, [0.004, -0.004, 0.0], atol=6e-4)
     assert lever_m[2] == 0.0  # not likely
-    clock = fits_of(found).rig
+    clock = fits_of(result).rig
     assert clock.offset_s == pytest.approx(0.003, abs=1e-4)
     assert clock.skew == pytest.approx(-6e-5, abs=1e-5)
     before_m, _ = made.errors(made.groundtruth)
-    position_m, _ = made.errors(fits_of(found).repaired)
+    position_m, _ = made.errors(fits_of(result).repaired)
     assert position_m < 7e-4 < 6e-3 < before_m
 
 
 def test_jitter_of_timestamps() -> None:
-    found = examined(rig(4, jitter_s=3e-3))
-    jitter = found.causes["jitter"]
+    result = examined(rig(4, jitter_s=3e-3))
+    jitter = result.causes["jitter"]
     assert jitter.verdict == "significant"
     assert jitter.value == pytest.approx(3.0, rel=0.15)
     # What wrong timestamps explain is no other fault.
-    assert [item.name for item in found.significant] == ["jitter"]
+    assert [item.name for item in result.significant] == ["jitter"]
 
 
 def test_figure_of_a_groundtruth_without_noise_has_axes_of_a_readable_range(
@@ -291,10 +291,10 @@ def test_figure_of_a_groundtruth_without_noise_has_axes_of_a_readable_range(
     pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
     from trajeval_ros.report.groundtruth_report import groundtruth_figure
 
-    made, found = healthy
-    fits = fits_of(found)
+    made, result = healthy
+    fits = fits_of(result)
     small = dataclasses.replace(fits.short, residuals=1e-6 * fits.short.residuals)
-    figure = groundtruth_figure(made.groundtruth, found, dataclasses.replace(fits, short=small))
+    figure = groundtruth_figure(made.groundtruth, result, dataclasses.replace(fits, short=small))
     first, second, *_ = figure.axes
     for axes in (first, second):
         low, high = axes.get_ylim()
@@ -306,48 +306,48 @@ def test_figure_of_positions_has_no_axes_of_rotations() -> None:
     from trajeval_ros.report.groundtruth_report import groundtruth_figure
 
     made = rig(3)
-    found = examine(positions_of(made), made.readings)
-    figure = groundtruth_figure(made.groundtruth, found, fits_of(found))
+    result = examine(positions_of(made), made.readings)
+    figure = groundtruth_figure(made.groundtruth, result, fits_of(result))
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels == ["position\nresidual [mm]", "lever arm [mm]"]
 
 
 def test_rest_is_inconclusive() -> None:
-    found = examined(rig(1, "rest"))
-    assert found.significant == []
-    assert set(verdicts(found).values()) == {"inconclusive"}
-    assert any("the rig does not turn" in note for note in found.notes)
+    result = examined(rig(1, "rest"))
+    assert result.significant == []
+    assert set(verdicts(result).values()) == {"inconclusive"}
+    assert any("the rig does not turn" in note for note in result.notes)
 
 
 @pytest.mark.slow
 def test_a_car_does_not_determine_the_height_of_the_marker() -> None:
-    found = examined(rig(2, "car", duration_s=60.0, offset_s=0.02))
-    assert found.causes["lever_arm"].verdict == "inconclusive"
-    assert found.causes["clock_offset"].verdict == "significant"
-    assert found.causes["fused"].verdict == "insignificant"
-    assert any("lever arm along z" in note for note in found.notes)
+    result = examined(rig(2, "car", duration_s=60.0, offset_s=0.02))
+    assert result.causes["lever_arm"].verdict == "inconclusive"
+    assert result.causes["clock_offset"].verdict == "significant"
+    assert result.causes["fused"].verdict == "insignificant"
+    assert any("lever arm along z" in note for note in result.notes)
     # The value of zero is not a measurement: its standard deviation is that of the prior.
-    assert fits_of(found).hand_eye_covariance[2, 2] == pytest.approx(0.25, rel=0.01)
+    assert fits_of(result).hand_eye_covariance[2, 2] == pytest.approx(0.25, rel=0.01)
 
 
 @pytest.mark.slow
 def test_a_turntable_has_no_false_verdict() -> None:
-    found = examined(rig(4, "turntable", duration_s=40.0))
-    assert "significant" not in verdicts(found).values()
-    assert found.causes["fused"].verdict == "insignificant"
+    result = examined(rig(4, "turntable", duration_s=40.0))
+    assert "significant" not in verdicts(result).values()
+    assert result.causes["fused"].verdict == "insignificant"
 
 
 def test_a_gyroscope_alone(faulty: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
     made, _ = faulty
     gyroscope = dataclasses.replace(made.readings, accelerations=None)
-    found = examine(made.groundtruth, gyroscope)
-    assert found.causes["body_rotation"].verdict == "significant"
-    assert found.causes["clock_offset"].value == pytest.approx(12.0, abs=2.2)
-    assert found.causes["lever_arm"].verdict == found.causes["tilted"].verdict == "inconclusive"
+    result = examine(made.groundtruth, gyroscope)
+    assert result.causes["body_rotation"].verdict == "significant"
+    assert result.causes["clock_offset"].value == pytest.approx(12.0, abs=2.2)
+    assert result.causes["lever_arm"].verdict == result.causes["tilted"].verdict == "inconclusive"
 
 
 def test_gaps_and_saturation_of_the_imu(faulty: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
-    made, found = faulty
+    made, result = faulty
     readings = made.readings
     assert readings.accelerations is not None
     rates, force = readings.rates.copy(), readings.accelerations.copy()
@@ -356,11 +356,11 @@ def test_gaps_and_saturation_of_the_imu(faulty: tuple[ExaminedRig, ExaminedGroun
     kept[2000:2040] = False
     broken = InertialReadings(readings.stamps[kept], rates[kept], force[kept])
     again = examine(made.groundtruth, broken)
-    assert verdicts(again) == verdicts(found)
-    said = " ".join(again.notes)
-    assert "the IMU has 1 gap; the longest is 0.20 s at 9.69 s" in said  # since the first pose
-    assert "saturated interval" in said
-    assert not any("the IMU has" in note for note in found.notes)
+    assert verdicts(again) == verdicts(result)
+    text = " ".join(again.notes)
+    assert "the IMU has 1 gap; the longest is 0.20 s at 9.69 s" in text  # since the first pose
+    assert "saturated interval" in text
+    assert not any("the IMU has" in note for note in result.notes)
     cause = again.causes["body_rotation"]
     assert cause.half_width is not None
     assert np.linalg.norm(np.subtract(cause.components, FAULTS["turn_deg"])) < 2 * cause.half_width
@@ -408,9 +408,9 @@ def test_poses_alone() -> None:
     stamps = truth.stamps + np.random.default_rng(3).integers(0, 4_000_000, len(truth))
     stamps[100] = stamps[99]
     rough = dataclasses.replace(truth, stamps=stamps)
-    found = examine(rough)
-    assert found.fits is None
-    assert {item.name for item in found.significant} == {
+    result = examine(rough)
+    assert result.fits is None
+    assert {item.name for item in result.significant} == {
         "repeated_timestamps",
         "uneven_timestamps",
     }
@@ -424,16 +424,16 @@ def test_poses_alone() -> None:
 @pytest.mark.parametrize("name", ["V1_01_original", "V1_01_corrected", "mocap2gt", "MH_05"])
 def test_positions_of_real_recordings_agree_with_their_references(name: str) -> None:
     truth, readings = real(name)
-    found = examine(dataclasses.replace(truth, quaternions=None), readings)
+    result = examine(dataclasses.replace(truth, quaternions=None), readings)
     external = reference(Path("groundtruth_doctor.json"))["external"].get(name, {})
     for cause, key in (("lever_arm", "lever_mm"), ("clock_offset", "offset_ms")):
         known = np.zeros(3) if cause == "lever_arm" else np.zeros(1)
-        half_width = found.causes[cause].half_width
+        half_width = result.causes[cause].half_width
         assert half_width is not None
-        apart = np.subtract(found.causes[cause].components, external.get(key, known))
+        apart = np.subtract(result.causes[cause].components, external.get(key, known))
         assert np.linalg.norm(apart) < half_width, cause
     # The tilt of 0.44 deg of mocap2gt is near the limit of significance.
-    calibration = {item for item in CALIBRATION if found.causes[item].verdict == "significant"}
+    calibration = {item for item in CALIBRATION if result.causes[item].verdict == "significant"}
     assert calibration - {"tilted"} == ({"lever_arm"} if name == "mocap2gt" else set())
     assert "tilted" not in calibration or name == "mocap2gt"
 
@@ -444,32 +444,32 @@ def test_real_recordings_give_the_reference(name: str) -> None:
     stored = reference(Path("groundtruth_doctor.json"))
     expected, external = stored["real"][name], stored["external"]
     truth, readings = real(name)
-    found = examine(truth, readings)
-    fits = fits_of(found)
+    result = examine(truth, readings)
+    fits = fits_of(result)
     for horizon, fit in (("short", fits.short), ("long", fits.long)):
         sigmas = np.array(expected[f"{horizon}_sd"])
         assert (np.abs(fit.values - expected[horizon]) < 0.5 * sigmas).all()
         np.testing.assert_allclose(fit.sigmas[:8], sigmas[:8], rtol=0.1)
     assert fits.disagree == expected["disagree"]
     if name == "V1_01_original":
-        names = {item.name for item in found.significant}
+        names = {item.name for item in result.significant}
         assert {"body_rotation", "lever_arm", "fused"} == names
         for cause, key in (("body_rotation", "R_IM_deg"), ("lever_arm", "lever_mm")):
-            apart = np.subtract(found.causes[cause].components, external[name][key])
-            half_width = found.causes[cause].half_width
+            apart = np.subtract(result.causes[cause].components, external[name][key])
+            half_width = result.causes[cause].half_width
             assert half_width is not None
             assert np.linalg.norm(apart) < min(half_width, {"R": 1.2, "l": 8.0}[key[0]])
     elif name == "mocap2gt":
         truth_of = external[name]
         body = Rotation.from_rotvec(truth_of["R_IM_deg"], degrees=True)
-        turned = body.inv() * Rotation.from_quat(fits.hand_eye.rotation_xyzw)
-        assert np.degrees(turned.magnitude()) < 0.1
+        rotated = body.inv() * Rotation.from_quat(fits.hand_eye.rotation_xyzw)
+        assert np.degrees(rotated.magnitude()) < 0.1
         assert np.linalg.norm(1e3 * fits.hand_eye.lever_m - truth_of["lever_mm"]) < 1.0
         assert abs(1e3 * fits.rig.offset_s - truth_of["offset_ms"]) < 1.0
-        assert found.causes["tilted"].verdict == "significant"
+        assert result.causes["tilted"].verdict == "significant"
     else:
-        assert set(verdicts(found).values()) == {"insignificant"}
-        assert found.causes["fused"].verdict == "insignificant"
+        assert set(verdicts(result).values()) == {"insignificant"}
+        assert result.causes["fused"].verdict == "insignificant"
     if name == "MH_05":
         jumps = {(jump.stamp_ns - START_NS) / 1e9: 1e3 * jump.size for jump in fits.checks.jumps}
         stated = {41.60: 17, 47.99: 15, 59.06: 21, 80.75: 51, 84.09: 30, 85.64: 34}

@@ -30,9 +30,9 @@ def mirrored(poses: Trajectory, axis: int) -> Trajectory:
     """Return what an estimator with one axis of world and body inverted would report."""
     assert poses.rotations is not None
     flip = np.diag(np.where(np.arange(3) == axis, -1.0, 1.0))
-    turned = Rotation.from_matrix(flip @ poses.rotations.as_matrix() @ flip)
+    rotated = Rotation.from_matrix(flip @ poses.rotations.as_matrix() @ flip)
     return dataclasses.replace(
-        poses, positions=poses.positions @ flip, quaternions=turned.as_quat()
+        poses, positions=poses.positions @ flip, quaternions=rotated.as_quat()
     )
 
 
@@ -42,8 +42,8 @@ def jumping(poses: Trajectory, seed: int, deg: float) -> Trajectory:
     random = np.random.default_rng(seed)
     jumps = random.standard_t(2, (len(poses), 3)) * np.radians(deg)
     jumps *= (random.random(len(poses)) < 0.05 / 4.0)[:, None]
-    turned = Rotation.from_rotvec(np.cumsum(jumps, axis=0)) * poses.rotations
-    return dataclasses.replace(poses, quaternions=turned.as_quat())
+    rotated = Rotation.from_rotvec(np.cumsum(jumps, axis=0)) * poses.rotations
+    return dataclasses.replace(poses, quaternions=rotated.as_quat())
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -55,10 +55,10 @@ def test_a_marker_that_flips_is_judged(axis: int, seed: int) -> None:
     assert groundtruth.rotations is not None
     flip = Rotation.from_rotvec(np.pi * np.eye(3)[axis])
     late = groundtruth.seconds > 18.0
-    turned = np.where(
+    rotated = np.where(
         late[:, None], (groundtruth.rotations * flip).as_quat(), groundtruth.quaternions
     )
-    flipping = dataclasses.replace(groundtruth, quaternions=turned)
+    flipping = dataclasses.replace(groundtruth, quaternions=rotated)
     result = calibrate(flipping, flight.estimate, "yaw")
     assert result.offset.reason
     assert result.turn.reason
@@ -84,13 +84,13 @@ def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
     truth, estimate = fly(axis, 60.0)
     result = evaluate_calibrated(truth, mirrored(estimate, axis), YAW, AUTO)
     assert result.calibration is not None
-    turn = result.calibration.turn
-    assert turn.chance is not None
-    assert turn.chance < 1e-6  # by all rows together it would be there
-    assert turn.value is not None
-    assert np.degrees(np.linalg.norm(turn.value)) > 170.0
-    assert turn.status == "insignificant"
-    assert turn.reason == significance.POSITIONS_WORSE
+    rotation = result.calibration.turn
+    assert rotation.chance is not None
+    assert rotation.chance < 1e-6  # by all rows together it would be there
+    assert rotation.value is not None
+    assert np.degrees(np.linalg.norm(rotation.value)) > 170.0
+    assert rotation.status == "insignificant"
+    assert rotation.reason == significance.POSITIONS_WORSE
     assert result.hand_eye is None
     assert not result.offset_applied
     assert result.after == result.before
@@ -107,11 +107,11 @@ def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
 @pytest.mark.parametrize("seed", [7, 27])
 def test_attitude_that_drifts_on_its_own_is_no_rotation_of_the_body(kind: str, seed: int) -> None:
     truth, estimate = fly(seed, 60.0, kind)
-    turn = calibrate(truth, jumping(estimate, seed, 0.5)).turn
-    assert turn.chance is not None
-    assert turn.chance < 0.0027
-    assert turn.status == "insignificant"
-    assert turn.reason == significance.POSITIONS_ALONE
+    rotation = calibrate(truth, jumping(estimate, seed, 0.5)).turn
+    assert rotation.chance is not None
+    assert rotation.chance < 0.0027
+    assert rotation.status == "insignificant"
+    assert rotation.reason == significance.POSITIONS_ALONE
 
 
 @pytest.mark.parametrize("kind", ["drone", "road"])
@@ -121,10 +121,10 @@ def test_a_rotation_that_both_kinds_of_rows_show_is_kept(kind: str, seed: int) -
     axis[:2] += np.sign(axis[:2])  # on a road, not about its only axis
     vector = np.radians(5.0) * axis / np.linalg.norm(axis)
     truth, estimate = fly(seed, 120.0, kind, Fault(rotation_vector=vector))
-    turn = calibrate(truth, estimate).turn
-    assert turn.is_significant
-    assert turn.value is not None
-    np.testing.assert_allclose(turn.value, vector, atol=np.radians(1.0))
+    rotation = calibrate(truth, estimate).turn
+    assert rotation.is_significant
+    assert rotation.value is not None
+    np.testing.assert_allclose(rotation.value, vector, atol=np.radians(1.0))
 
 
 def test_chance_is_that_of_hotellings_test() -> None:

@@ -76,16 +76,16 @@ def test_many_pairs_of_few_stamps_show_no_clock(stamps: int) -> None:
     def moving(times: np.ndarray) -> Trajectory:
         seconds = times / 1e9
         positions = np.column_stack([np.sin(seconds), np.cos(0.7 * seconds), 0.1 * seconds])
-        turns = np.column_stack([0.0 * seconds, np.sin(seconds), seconds])
-        return Trajectory(times, positions, Rotation.from_rotvec(turns).as_quat())
+        rotations = np.column_stack([0.0 * seconds, np.sin(seconds), seconds])
+        return Trajectory(times, positions, Rotation.from_rotvec(rotations).as_quat())
 
     protocol = dataclasses.replace(
         YAW, gauge=Gauge.NONE, association=AssociationRule("evo", 0.05), in_order=False
     )
-    found = evaluate(moving(truth_times), moving(np.concatenate([times, alone])), protocol)
-    assert len(found.association) == 61 * stamps
-    assert len(set(found.association.estimate.stamps.tolist())) == stamps
-    assert not hints(found)
+    result = evaluate(moving(truth_times), moving(np.concatenate([times, alone])), protocol)
+    assert len(result.association) == 61 * stamps
+    assert len(set(result.association.estimate.stamps.tolist())) == stamps
+    assert not hints(result)
 
 
 def test_clocks_apart_are_noticed_by_short_motions() -> None:
@@ -139,10 +139,10 @@ def test_who_has_calibrated_is_not_told_to_calibrate(duration_s: float, causes: 
 
 @pytest.mark.parametrize(("deg", "hinted"), [(4.0, False), (7.0, True)])
 def test_another_body_is_told_beyond_healthy_differences(deg: float, hinted: bool) -> None:
-    turn = np.radians(deg) * np.array([0.0, 0.6, 0.8])
-    found = hints(evaluate(*fly(1, 40.0, fault=Fault(0.0, 0.0, turn), drift=0.1), YAW))
-    assert bool(found) is hinted
-    assert all(BODIES in item and f"rotation of {deg:.0f} deg" in item for item in found)
+    rotation = np.radians(deg) * np.array([0.0, 0.6, 0.8])
+    result = hints(evaluate(*fly(1, 40.0, fault=Fault(0.0, 0.0, rotation), drift=0.1), YAW))
+    assert bool(result) is hinted
+    assert all(BODIES in item and f"rotation of {deg:.0f} deg" in item for item in result)
 
 
 def test_a_world_that_is_turned_is_no_other_body() -> None:
@@ -161,9 +161,9 @@ def test_stamps_of_arrival_are_noticed(side: str) -> None:
     delays = np.rint(1e9 * random.exponential(0.3 * step_s, len(late))).astype(np.int64)
     late = dataclasses.replace(late, stamps=np.sort(late.stamps + delays))
     pair = (late, estimate) if side == "groundtruth" else (truth, late)
-    found = [hint for hint in hints(evaluate(*pair, YAW)) if ARRIVAL in hint]
-    assert len(found) == 1
-    assert f"the {side}'s timestamps are probably arrival times" in found[0]
+    result = [hint for hint in hints(evaluate(*pair, YAW)) if ARRIVAL in hint]
+    assert len(result) == 1
+    assert f"the {side}'s timestamps are probably arrival times" in result[0]
 
 
 def test_irregular_but_honest_stamps_are_no_arrivals() -> None:
@@ -182,6 +182,6 @@ def test_stamps_of_a_real_estimator_that_are_late(recording: Recording) -> None:
     (hint,) = hints(evaluate(truth, late, YAW))
     assert CLOCKS in hint
     assert not hints(evaluate(truth, well, YAW))
-    found = calibrate(truth, late).offset
-    assert found.is_significant
-    assert found.value == pytest.approx([-0.18], abs=0.01)
+    result = calibrate(truth, late).offset
+    assert result.is_significant
+    assert result.value == pytest.approx([-0.18], abs=0.01)

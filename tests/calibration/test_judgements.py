@@ -37,8 +37,8 @@ def test_a_smooth_flight_has_its_exact_calibration() -> None:
     assert result.skew.value is not None
     assert result.skew.value[0] == pytest.approx(FAULT.skew, abs=3e-6)
     assert result.turn.value is not None
-    turned = Rotation.from_rotvec(result.turn.value).as_matrix()
-    np.testing.assert_allclose(turned, unknowns.turn, atol=1e-5)
+    rotated = Rotation.from_rotvec(result.turn.value).as_matrix()
+    np.testing.assert_allclose(rotated, unknowns.turn, atol=1e-5)
     np.testing.assert_allclose(result.lever.value, unknowns.lever_m, atol=1e-5)
     assert result.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=1e-5)
     assert result.fitted == 9

@@ -23,14 +23,14 @@ few = hypothesis_settings(max_examples=3)
 
 
 def values(calibration: Calibration) -> list[np.ndarray]:
-    found = [calibration.offset.value, calibration.turn.value, calibration.lever.value]
-    assert all(value is not None for value in found)
-    return [value for value in found if value is not None]
+    result = [calibration.offset.value, calibration.turn.value, calibration.lever.value]
+    assert all(value is not None for value in result)
+    return [value for value in result if value is not None]
 
 
 def sigmas(calibration: Calibration) -> list[np.ndarray]:
-    found = [calibration.offset.sigma, calibration.turn.sigma, calibration.lever.sigma]
-    return [sigma for sigma in found if sigma is not None]
+    result = [calibration.offset.sigma, calibration.turn.sigma, calibration.lever.sigma]
+    return [sigma for sigma in result if sigma is not None]
 
 
 def assert_same(ours: Calibration, theirs: Calibration, tolerance: float = 1e-6) -> None:
@@ -59,10 +59,10 @@ def test_gauge_elements_change_nothing_with_positions_alone(seed: int, gauge: Ga
     element = make_element(gauge, seed)
     before = calibrate(truth, estimate, gauge, systematic=NONE)
     after = calibrate(truth, moved(estimate, element), gauge, systematic=NONE)
-    for ours, theirs in ((before.offset, after.offset), (before.lever, after.lever)):
-        assert ours.value is not None
+    for actual, theirs in ((before.offset, after.offset), (before.lever, after.lever)):
+        assert actual.value is not None
         assert theirs.value is not None
-        assert np.allclose(ours.value, theirs.value, rtol=0.0, atol=1e-6)
+        assert np.allclose(actual.value, theirs.value, rtol=0.0, atol=1e-6)
 
 
 @few
@@ -85,19 +85,19 @@ def test_a_shift_of_the_groundtruth_is_the_offset(seed: int, shift_s: float) -> 
 def test_another_body_of_the_estimate(seed: int) -> None:
     truth, estimate = fly(seed % 1000, 40.0, fault=FAULT)
     random = np.random.default_rng(seed)
-    turn = Rotation.from_rotvec(random.uniform(-1.0, 1.0, 3))
+    rotation = Rotation.from_rotvec(random.uniform(-1.0, 1.0, 3))
     lever_m = random.uniform(-0.3, 0.3, 3)
     assert estimate.rotations is not None
     other = dataclasses.replace(
         estimate,
         positions=estimate.positions + estimate.rotations.apply(lever_m),
-        quaternions=(estimate.rotations * turn).as_quat(),
+        quaternions=(estimate.rotations * rotation).as_quat(),
     )
     _, before, arm = values(calibrate(truth, estimate, systematic=NONE))
     _, after, other_arm = values(calibrate(truth, other, systematic=NONE))
-    expected = turn.inv() * Rotation.from_rotvec(before)
+    expected = rotation.inv() * Rotation.from_rotvec(before)
     assert (expected.inv() * Rotation.from_rotvec(after)).magnitude() < 1e-5
-    assert np.allclose(turn.apply(other_arm) + lever_m, arm, rtol=0.0, atol=1e-4)
+    assert np.allclose(rotation.apply(other_arm) + lever_m, arm, rtol=0.0, atol=1e-4)
 
 
 def test_scales_of_units() -> None:
@@ -108,19 +108,19 @@ def test_scales_of_units() -> None:
 
     metres = calibrate(truth, estimate, systematic=NONE)
     millimetres = calibrate(in_millimetres(truth), in_millimetres(estimate), systematic=NONE)
-    for ours, theirs, factor in zip(
+    for actual, theirs, factor in zip(
         values(metres), values(millimetres), (1, 1, 1000), strict=True
     ):
-        assert np.allclose(factor * ours, theirs, rtol=1e-9, atol=1e-9)
+        assert np.allclose(factor * actual, theirs, rtol=1e-9, atol=1e-9)
 
 
 def test_identical_trajectories_need_nothing() -> None:
     truth, _ = fly(2)
-    found = calibrate(truth, truth, systematic=NONE)
-    assert [item.status for item in (found.offset, found.turn, found.lever)] == 3 * [
+    result = calibrate(truth, truth, systematic=NONE)
+    assert [item.status for item in (result.offset, result.turn, result.lever)] == 3 * [
         "insignificant"
     ]
-    for value in values(found):
+    for value in values(result):
         assert np.allclose(value, 0.0, atol=1e-9)
 
 
@@ -136,15 +136,15 @@ def test_same_bytes_twice() -> None:
 def test_clocks_of_different_epochs(epoch_apart_s: float) -> None:
     truth, estimate = fly(6, fault=FAULT)
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps - round(epoch_apart_s * 1e9))
-    found = calibrate(truth, shifted, systematic=NONE)
-    assert found.offset.is_significant
-    assert found.offset.value is not None
-    assert found.offset.value[0] - epoch_apart_s == pytest.approx(0.08, abs=1e-3)
+    result = calibrate(truth, shifted, systematic=NONE)
+    assert result.offset.is_significant
+    assert result.offset.value is not None
+    assert result.offset.value[0] - epoch_apart_s == pytest.approx(0.08, abs=1e-3)
 
 
 @pytest.mark.slow
 def test_reliabilities_are_correlations() -> None:
     for kind in ("drone", "car", "straight", "translating", "static"):
-        found = calibrate(*fly(7, 40.0, kind, FAULT))
-        for item in (found.offset, found.turn, found.lever):
+        result = calibrate(*fly(7, 40.0, kind, FAULT))
+        for item in (result.offset, result.turn, result.lever):
             assert (np.abs(item.reliability) <= 1.0).all()

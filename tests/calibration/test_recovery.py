@@ -60,30 +60,30 @@ def misses(found: Calibration, fault: Fault) -> tuple[float, np.ndarray, np.ndar
     assert found.lever.value is not None
     # The perturbation that the covariance is of: on the left of the rotation.
     true = Rotation.from_rotvec(fault.rotation_vector)
-    turned = (Rotation.from_rotvec(found.turn.value) * true.inv()).as_rotvec()
+    rotated = (Rotation.from_rotvec(found.turn.value) * true.inv()).as_rotvec()
     offset = float(found.offset.value[0]) - fault.offset_s
-    return offset, turned, found.lever.value - np.asarray(fault.lever_m)
+    return offset, rotated, found.lever.value - np.asarray(fault.lever_m)
 
 
 @pytest.mark.slow
 def test_intervals_of_95_percent_cover_the_truth_and_naive_ones_do_not() -> None:
-    runs, offsets, turns, levers, naive = 40, 0, 0, 0, 0
+    runs, offsets, rotations, levers, naive = 40, 0, 0, 0, 0
     errors = []
     for seed in range(runs):
         fault, truth, estimate = flown(seed)
-        found = calibrate(truth, estimate, systematic=NONE)
-        assert found.offset.is_significant
-        offset, turned, lever_m = misses(found, fault)
-        assert found.offset.half_width_95 is not None
-        assert found.turn.half_width_95 is not None
-        assert found.lever.half_width_95 is not None
-        offsets += abs(offset) <= found.offset.half_width_95[0]
-        turns += int((np.abs(turned) <= found.turn.half_width_95).sum())
-        levers += int((np.abs(lever_m) <= found.lever.half_width_95).sum())
-        errors.append([abs(offset), *np.abs(turned), *np.abs(lever_m)])
+        result = calibrate(truth, estimate, systematic=NONE)
+        assert result.offset.is_significant
+        offset, rotated, lever_m = misses(result, fault)
+        assert result.offset.half_width_95 is not None
+        assert result.turn.half_width_95 is not None
+        assert result.lever.half_width_95 is not None
+        offsets += abs(offset) <= result.offset.half_width_95[0]
+        rotations += int((np.abs(rotated) <= result.turn.half_width_95).sum())
+        levers += int((np.abs(lever_m) <= result.lever.half_width_95).sum())
+        errors.append([abs(offset), *np.abs(rotated), *np.abs(lever_m)])
 
         # The information matrix alone, as a negative control.
-        shift = round(found.guess.offset_s * 1e9)
+        shift = round(result.guess.offset_s * 1e9)
         moved = dataclasses.replace(estimate, stamps=estimate.stamps + shift)
         solution = solve(Increments(truth, moved), Gauge.SE3, with_skew=False)
         assert solution is not None
@@ -94,7 +94,7 @@ def test_intervals_of_95_percent_cover_the_truth_and_naive_ones_do_not() -> None
         sigma = float(np.sqrt(np.linalg.inv(information)[0, 0]))
         naive += abs(offset) <= 1.96 * sigma
     assert offsets >= 36
-    assert turns >= 0.9 * 3 * runs
+    assert rotations >= 0.9 * 3 * runs
     assert levers >= 0.9 * 3 * runs
     assert naive <= 30
     sizes = np.array(errors)
@@ -113,13 +113,13 @@ def test_right_calibrations_are_left_alone_in_95_percent_of_flights(
     runs = 40
     for seed in range(runs):
         kind = "car" if seed % 4 == 3 else "drone"
-        found = evaluate_calibrated(
+        result = evaluate_calibrated(
             *fly(seed, 60.0, kind), YAW, CalibrationRequest(offset=True, hand_eye=True)
         )
-        applied += found.offset_applied + (found.hand_eye is not None)
-        assert found.before is not None
-        if found.if_applied is not None:
-            ratios.append(found.if_applied.position_m / found.before.position_m)
+        applied += result.offset_applied + (result.hand_eye is not None)
+        assert result.before is not None
+        if result.if_applied is not None:
+            ratios.append(result.if_applied.position_m / result.before.position_m)
     assert applied <= 0.05 * runs
     # Fitting anyway takes nothing off the ATE, as a fit of absolute residuals would.
     assert len(ratios) > 0.9 * runs
@@ -129,15 +129,15 @@ def test_right_calibrations_are_left_alone_in_95_percent_of_flights(
 @pytest.mark.parametrize("name", NAMES)
 def test_recordings_with_one_clock_are_left_alone(recording: Recording, name: str) -> None:
     truth, estimate = (recording(item) for item in RECORDINGS[name])
-    found = evaluate_calibrated(
+    result = evaluate_calibrated(
         truth, estimate, protocol_of(name), CalibrationRequest(offset=True, hand_eye=True)
     )
-    assert not found.offset_applied
-    assert not found.lever_applied
+    assert not result.offset_applied
+    assert not result.lever_applied
     # fr2_desk has a constant rotation of a degree, which is there: it takes more than half off the
     # rotation error and leaves the position error.
-    assert found.rotation_applied == (name == "fr2_desk")
-    calibration = found.calibration
+    assert result.rotation_applied == (name == "fr2_desk")
+    calibration = result.calibration
     assert calibration is not None
     if name.startswith("MH_01"):
         assert calibration.offset.value is not None
@@ -156,19 +156,19 @@ def test_recordings_show_a_clock_and_a_body_that_are_put_on_them(
     marker = HandEye.of(np.array([0.6, -1.0, 1.5]), np.array([0.1, -0.05, 0.1]))
     moved = marker.inverse().of_body(truth)
     moved = dataclasses.replace(moved, stamps=moved.stamps + 100_000_000)
-    found = evaluate_calibrated(
+    result = evaluate_calibrated(
         moved, estimate, protocol_of(name), CalibrationRequest(offset=True, hand_eye=True)
     )
-    assert found.offset_applied
-    assert found.rotation_applied
-    assert found.calibration is not None
-    offset = found.calibration.offset
+    assert result.offset_applied
+    assert result.rotation_applied
+    assert result.calibration is not None
+    offset = result.calibration.offset
     assert offset.value is not None
     assert before.offset.value is not None
     assert offset.value[0] - before.offset.value[0] == pytest.approx(0.1, abs=1e-3)
-    assert found.after.rotation_deg is not None
-    assert found.after.rotation_deg < 6.0
+    assert result.after.rotation_deg is not None
+    assert result.after.rotation_deg < 6.0
     plain = evaluate_calibrated(
         truth, estimate, protocol_of(name), CalibrationRequest(offset=True)
     )
-    assert found.after.position_m == pytest.approx(plain.after.position_m, rel=0.08, abs=0.01)
+    assert result.after.position_m == pytest.approx(plain.after.position_m, rel=0.08, abs=0.01)

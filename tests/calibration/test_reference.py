@@ -34,8 +34,8 @@ Reference = Callable[[str], Any]
 
 def test_closed_form_rotation_and_lever_arm(reference: Reference) -> None:
     numbers = reference("calibration")["handeye_rotation"]
-    turned = np.array(numbers["estimate_rotation_vectors"])
-    rotation = closest_rotation(turned, np.array(numbers["groundtruth_rotation_vectors"]))
+    rotated = np.array(numbers["estimate_rotation_vectors"])
+    rotation = closest_rotation(rotated, np.array(numbers["groundtruth_rotation_vectors"]))
     expected = Rotation.from_quat(numbers["R_X_quat"])
     assert np.allclose(rotation, expected.as_matrix(), atol=2e-9)
 
@@ -62,9 +62,9 @@ def test_masked_correlation(reference: Reference) -> None:
     lags, correlation, _ = masked_correlation(
         signal(n) * in_a, in_a, signal(n - numbers_shift(numbers)) * in_b, in_b
     )
-    found = dict(zip(lags.tolist(), correlation.tolist(), strict=True))
+    result = dict(zip(lags.tolist(), correlation.tolist(), strict=True))
     for lag, expected in numbers["rho"].items():
-        assert found[int(lag)] == pytest.approx(expected, abs=1e-9)
+        assert result[int(lag)] == pytest.approx(expected, abs=1e-9)
     peak = int(np.flatnonzero(lags == numbers["peak_lag"])[0])
     refined = numbers["peak_lag"] + refined_peak(correlation, peak)
     assert refined == pytest.approx(numbers["refined_lag"], abs=1e-9)
@@ -115,7 +115,7 @@ def flown(true: dict[str, Any], *, disturbed: bool) -> tuple[Trajectory, Traject
         [0.05 * np.sin(0.11 * s), 0.04 * np.sin(0.17 * s + 1.0), 0.03 * np.cos(0.13 * s)]
     )
     wander += 0.003 * np.sin(np.outer(s, [37.0, 41.0, 43.0]))
-    turns = np.column_stack(
+    rotation_list = np.column_stack(
         [0.002 * np.sin(0.3 * s), 0.002 * np.cos(0.4 * s), 0.01 * np.sin(0.05 * s)]
     )
     size = 1.0 if disturbed else 0.0
@@ -123,7 +123,7 @@ def flown(true: dict[str, Any], *, disturbed: bool) -> tuple[Trajectory, Traject
     estimate = Trajectory(
         stamps_of(s),
         world.apply(positions(s) + size * wander) / true["scale"] + [3.0, -2.0, 1.0],
-        (world * Rotation.from_rotvec(size * turns) * rotations(s)).as_quat(),
+        (world * Rotation.from_rotvec(size * rotation_list) * rotations(s)).as_quat(),
     )
     return truth, estimate
 
@@ -153,23 +153,23 @@ def test_fit(reference: Reference, name: str, away_s: float) -> None:
     assert fitted.blocks == numbers["blocks"]
     assert len(fitted.linearised.rows) == numbers["pairs"]
     exact = not numbers["disturbed"]
-    found, expected = fitted.unknowns, numbers["fit"]
-    assert found.offset_s == pytest.approx(expected["offset"], abs=1e-7 if exact else 2e-5)
-    assert 1e6 * found.skew == pytest.approx(expected["skew_ppm"], abs=1e-3)
-    turn = Rotation.from_matrix(found.turn).as_rotvec()
-    assert np.allclose(turn, expected["R_X_rotvec"], rtol=0.0, atol=1e-6 if exact else 2e-5)
-    assert np.allclose(found.lever_m, expected["lever"], rtol=0.0, atol=1e-5 if exact else 5e-4)
-    assert found.scale == pytest.approx(expected["scale"], abs=1e-6 if exact else 1e-4)
+    result, expected = fitted.unknowns, numbers["fit"]
+    assert result.offset_s == pytest.approx(expected["offset"], abs=1e-7 if exact else 2e-5)
+    assert 1e6 * result.skew == pytest.approx(expected["skew_ppm"], abs=1e-3)
+    rotation = Rotation.from_matrix(result.turn).as_rotvec()
+    assert np.allclose(rotation, expected["R_X_rotvec"], rtol=0.0, atol=1e-6 if exact else 2e-5)
+    assert np.allclose(result.lever_m, expected["lever"], rtol=0.0, atol=1e-5 if exact else 5e-4)
+    assert result.scale == pytest.approx(expected["scale"], abs=1e-6 if exact else 1e-4)
     if numbers["sigma"] is not None:
         names = ["offset", "skew", "xx", "xy", "xz", "lx", "ly", "lz", "c"]
         sigmas = dict(zip(names, np.sqrt(np.diag(fitted.covariance)), strict=True))
         for item, sigma in numbers["sigma"].items():
             assert sigmas[item] == pytest.approx(sigma, rel=0.05)
     seen = observability(increments, fitted)
-    for ours, theirs in (("offset", "offset"), ("turn", "X"), ("lever", "l")):
+    for actual, theirs in (("offset", "offset"), ("turn", "X"), ("lever", "l")):
         if theirs in numbers["reliability"]:
             expected_reliability = numbers["reliability"][theirs]
-            assert np.allclose(seen[ours].reliability, expected_reliability, atol=0.01)
+            assert np.allclose(seen[actual].reliability, expected_reliability, atol=0.01)
 
 
 def test_noise_on_a_straight_line_is_not_taken_for_an_offset(reference: Reference) -> None:

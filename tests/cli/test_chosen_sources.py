@@ -230,6 +230,6 @@ def test_a_folder_of_many_runs_is_for_a_comparison(
     for number in range(21):
         (tmp_path / f"run_{number}.txt").write_text("1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n")
     assert main([str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert "21 sources" in said
-    assert f"trajeval compare {tmp_path}" in said
+    text = capsys.readouterr().err
+    assert "21 sources" in text
+    assert f"trajeval compare {tmp_path}" in text

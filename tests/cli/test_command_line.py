@@ -92,10 +92,10 @@ def test_texts_come_through_pipes(pair: tuple[Path, Path]) -> None:
     direct = shell(f"trajeval evaluate {truth} {estimate} --json -")
     piped = shell(f"cat {estimate} | trajeval evaluate <(cat {truth}) - --json -")
     assert piped.returncode == 0, piped.stderr
-    expected, found = (json.loads(item.stdout) for item in (direct, piped))
-    assert found["runs"][0]["ate"] == expected["runs"][0]["ate"]
-    assert found["runs"][0]["estimate"]["source"] == "-"
-    assert found["runs"][0]["estimate"]["name"] == "stdin"
+    expected, result = (json.loads(item.stdout) for item in (direct, piped))
+    assert result["runs"][0]["ate"] == expected["runs"][0]["ate"]
+    assert result["runs"][0]["estimate"]["source"] == "-"
+    assert result["runs"][0]["estimate"]["name"] == "stdin"
     assert shell(f"cat {truth} | trajeval info -").stdout.startswith("/dev/stdin\n")
     redirected = shell(f"trajeval evaluate {truth} - --json - < {estimate}")
     assert json.loads(redirected.stdout)["runs"][0]["ate"] == expected["runs"][0]["ate"]
@@ -200,9 +200,9 @@ def test_an_option_of_evo_is_answered_with_the_one_here(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["evaluate", "a", "b", option, "1"]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"trajeval: evaluate has no option {option}; ")
-    assert said.count("\n") == 1
+    text = capsys.readouterr().err
+    assert text.startswith(f"trajeval: evaluate has no option {option}; ")
+    assert text.count("\n") == 1
 
 
 def test_studies_are_a_group(capsys: pytest.CaptureFixture[str]) -> None:
@@ -219,9 +219,9 @@ def test_a_verb_of_evo_is_answered_with_the_one_here(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([name, "--output", "nowhere"]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"trajeval: no verb {name}; use trajeval ")
-    assert said.count("\n") == 1
+    text = capsys.readouterr().err
+    assert text.startswith(f"trajeval: no verb {name}; use trajeval ")
+    assert text.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", VERBS)
@@ -285,30 +285,30 @@ def test_a_folder_s_sources_are_listed(
     deep = tmp_path.joinpath("a", "b", "c", "d", "e")
     deep.mkdir(parents=True)
     shutil.copy(pair[0], deep / "truth.txt")
-    found = find_sources(tmp_path)
-    assert [str(source.path.relative_to(tmp_path)) for source in found.sources] == [
+    result = find_sources(tmp_path)
+    assert [str(source.path.relative_to(tmp_path)) for source in result.sources] == [
         "a/cut.db3",
         "a/flight",
         "a/other.mcap",
         "estimate.txt",
         "truth.txt",
     ]
-    assert [source.topics for source in found.sources] == [(), ("/odom",), ("/vio",), (), ()]
-    assert [source.kind for source in found.sources] == [
+    assert [source.topics for source in result.sources] == [(), ("/odom",), ("/vio",), (), ()]
+    assert [source.kind for source in result.sources] == [
         "rosbag2 sqlite3",
         "rosbag2",
         "MCAP",
         "TUM",
         "TUM",
     ]
-    assert found.sources[0].problem
-    assert found.others == 2
-    assert found.left_out == (f"1 folder more than {DEEPEST} levels deep",)
+    assert result.sources[0].problem
+    assert result.others == 2
+    assert result.left_out == (f"1 folder more than {DEEPEST} levels deep",)
     assert main(["info", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     assert "/odom" in told
     assert "other files: 2" in told
-    assert f"skipped: {found.left_out[0]}" in told
+    assert f"skipped: {result.left_out[0]}" in told
 
 
 def test_a_folder_s_list_is_bounded(pair: tuple[Path, Path], tmp_path: Path) -> None:
@@ -316,9 +316,9 @@ def test_a_folder_s_list_is_bounded(pair: tuple[Path, Path], tmp_path: Path) -> 
     folder.mkdir()
     for place in range(MOST + 5):
         (folder / f"{place:03}.txt").symlink_to(pair[0])
-    found = find_sources(folder)
-    assert len(found.sources) == MOST
-    assert found.left_out == (f"5 files after the first {MOST} sources",)
+    result = find_sources(folder)
+    assert len(result.sources) == MOST
+    assert result.left_out == (f"5 files after the first {MOST} sources",)
 
 
 def test_a_folder_without_a_source_is_told(
@@ -326,8 +326,8 @@ def test_a_folder_without_a_source_is_told(
 ) -> None:
     (tmp_path / "note.md").write_text("1 2 3 4\n")
     assert main(["info", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert f"no readable bag or trajectory in {tmp_path} (1 other file)" in said
+    text = capsys.readouterr().err
+    assert f"no readable bag or trajectory in {tmp_path} (1 other file)" in text
 
 
 def test_a_folder_is_no_trajectory(tmp_path: Path) -> None:

@@ -182,6 +182,6 @@ def test_live_and_recorded_agree(environment: dict[str, str], tmp_path: Path) ->
     pytest.importorskip(
         "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
     )
-    said = demo("out", tmp_path, environment)
-    assert "All messages arrived, and both columns agree." in said
-    assert (tmp_path / last_words(said)["report"].split(",")[0]).is_file()
+    text = demo("out", tmp_path, environment)
+    assert "All messages arrived, and both columns agree." in text
+    assert (tmp_path / last_words(text)["report"].split(",")[0]).is_file()

@@ -64,10 +64,10 @@ def test_the_drift_is_of_the_longest_sub_trajectories_in_metres(
         if segment.get("position_percent")
     }
     assert main([*pair, "--lengths", lengths]) == 0
-    said = re.search(r"drift (\S+) % over (\S+) m", capsys.readouterr().out)
-    assert said is not None
-    assert float(said[2]) == pytest.approx(max(drifts), rel=1e-3)
-    assert float(said[1]) == pytest.approx(drifts[max(drifts)], rel=1e-2)
+    text = re.search(r"drift (\S+) % over (\S+) m", capsys.readouterr().out)
+    assert text is not None
+    assert float(text[2]) == pytest.approx(max(drifts), rel=1e-3)
+    assert float(text[1]) == pytest.approx(drifts[max(drifts)], rel=1e-2)
 
 
 def test_without_a_gauge_the_default_is_announced(
@@ -365,9 +365,9 @@ def test_the_kitti_protocol_begins_with_the_numbers_of_its_ranking(
     rows[:, 5] = 1.0
     angles = np.arange(800) / 400.0
     for name, scale in (("groundtruth", 1.0), ("estimate", 1.02)):
-        turns = angles * scale
+        rotations = angles * scale
         rows[:, [0, 2, 8, 10]] = np.stack(
-            [np.cos(turns), np.sin(turns), -np.sin(turns), np.cos(turns)], axis=1
+            [np.cos(rotations), np.sin(rotations), -np.sin(rotations), np.cos(rotations)], axis=1
         )
         rows[:, [3, 11]] = scale * 200.0 * np.stack([1.0 - np.cos(angles), np.sin(angles)], axis=1)
         np.savetxt(tmp_path / f"{name}.txt", rows)

@@ -38,21 +38,21 @@ def test_a_groundtruth_is_repaired_and_evaluated_against(
     command = ["groundtruth", f"{bag}:/mocap", "--imu", f"{bag}:/imu", *files]
     saving = ["--save-as", "mcap", "--output", str(output), "--rrd", str(picture)]
     assert main([*command, *saving]) == 0
-    said = capsys.readouterr().out
-    assert "is rotated by 3.9" in said
-    assert "covariances are lower limits" in said
-    found = json.loads((tmp_path / "g.json").read_text())
-    assert found["schema"] == "trajeval-groundtruth/1"
-    by_name = {cause["name"]: cause for cause in found["causes"]}
+    text = capsys.readouterr().out
+    assert "is rotated by 3.9" in text
+    assert "covariances are lower limits" in text
+    result = json.loads((tmp_path / "g.json").read_text())
+    assert result["schema"] == "trajeval-groundtruth/1"
+    by_name = {cause["name"]: cause for cause in result["causes"]}
     assert by_name["body_rotation"]["verdict"] == "significant"
     assert by_name["clock_offset"]["value"] == pytest.approx(12.0, abs=2.2)
-    assert found["clock"]["offset_s"] == pytest.approx(0.012, abs=2.2e-3)
+    assert result["clock"]["offset_s"] == pytest.approx(0.012, abs=2.2e-3)
     assert (tmp_path / "g.png").read_bytes().startswith(b"\x89PNG")
     assert {"world/groundtruth/path/past", "metrics/position_error/repaired"} <= Rrd(
         picture
     ).entities
     repaired = read_trajectory(f"{output}/groundtruth.mcap:/groundtruth")
-    assert len(repaired) == found["repaired"]["poses"]
+    assert len(repaired) == result["repaired"]["poses"]
     evaluated = [
         "evaluate", "-g", f"{output}/groundtruth.mcap:/groundtruth",
         "-e", f"{output}/groundtruth.mcap:/groundtruth", "--gauge", "se3", "--lengths", "none",
@@ -73,12 +73,12 @@ def test_positions_alone_are_repaired(tmp_path: Path, capsys: pytest.CaptureFixt
     command = ["groundtruth", str(prism), "--imu", f"{tmp_path}/run:/imu", "--save-as", "tum"]
     files = ["--json", str(tmp_path / "g.json"), "--figure", str(tmp_path / "g.svg")]
     assert main([*command, *files, "--output", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "refers to a point 6" in said
-    assert "Noise of a pose per axis: 0.5 mm." in said
-    assert "body rotation        unobservable" in said
-    found = json.loads((tmp_path / "g.json").read_text())
-    assert found["noise"]["rotation_rad"] is None
+    text = capsys.readouterr().out
+    assert "refers to a point 6" in text
+    assert "Noise of a pose per axis: 0.5 mm." in text
+    assert "body rotation        unobservable" in text
+    result = json.loads((tmp_path / "g.json").read_text())
+    assert result["noise"]["rotation_rad"] is None
     assert (tmp_path / "g.svg").is_file()
     assert read_trajectory(str(tmp_path / "groundtruth.txt")).quaternions is not None
 
@@ -95,9 +95,9 @@ def test_velocities_and_biases_are_saved(bag: Path, tmp_path: Path) -> None:
 
 def test_poses_alone_as_json(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["groundtruth", f"{bag}:/mocap", "--json", "-"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["imu"] is None
-    assert "fits" not in found
+    result = json.loads(capsys.readouterr().out)
+    assert result["imu"] is None
+    assert "fits" not in result
     assert main(["groundtruth", f"{bag}:/mocap"]) == 0
     assert "No cause of errors is significant." in capsys.readouterr().out
 
@@ -115,10 +115,10 @@ def test_bad_input_is_one_sentence(bag: Path, capsys: pytest.CaptureFixture[str]
         ([*imu, "--time-offset", "nan"], "the time offset is nan s; give a finite number"),
     ):
         assert main(["groundtruth", truth, *arguments]) == 2
-        said = capsys.readouterr()
-        assert not said.out
-        assert said.err.count("\n") == 1
-        assert sentence in said.err
+        text = capsys.readouterr()
+        assert not text.out
+        assert text.err.count("\n") == 1
+        assert sentence in text.err
 
 
 def test_outliers_and_flips_are_found_without_an_imu(

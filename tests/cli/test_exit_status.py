@@ -60,9 +60,9 @@ def test_no_message_repeats_the_secret_of_a_url(
 ) -> None:
     run = str(write_run(tmp_path / "run.txt"))
     assert main(["evaluate", run, run, option, url]) == 2
-    said = capsys.readouterr().err
-    assert "hidden" not in said
-    assert shown in said or "which results and logs repeat" in said  # parsed as a SOURCE
+    text = capsys.readouterr().err
+    assert "hidden" not in text
+    assert shown in text or "which results and logs repeat" in text  # parsed as a SOURCE
 
 
 def test_defects_are_not_hidden() -> None:

@@ -197,12 +197,12 @@ def flight(*, is_flat: bool) -> tuple[Any, Any, Any, Any, Any]:
 
 def recording(folder: Path, system: System) -> tuple[Path, dict[str, Any]]:
     """Write a bag; return it with the written positions and the groundtruth's by topic."""
-    stamps, places, rotations, moved, turned = flight(is_flat=system.modality == "wheel")
+    stamps, places, rotations, moved, rotated = flight(is_flat=system.modality == "wheel")
     sides: dict[str, Any] = {}
     messages: list[Any] = []
     for topic in (system.groundtruth, *system.estimates):
         name, kind, frame, _ = topic
-        positions, quaternions, rows = moved, turned, np.arange(len(stamps))
+        positions, quaternions, rows = moved, rotated, np.arange(len(stamps))
         if topic is system.groundtruth:
             positions, quaternions = places, rotations
         elif name.endswith("extrinsic"):
@@ -215,7 +215,7 @@ def recording(folder: Path, system: System) -> tuple[Path, dict[str, Any]]:
         ]
         if kind == PATH:  # all poses until now
             single = (name, POSE, frame, "")
-            steps = [message(single, int(stamps[row]), moved[row], turned[row]) for row in rows]
+            steps = [message(single, int(stamps[row]), moved[row], rotated[row]) for row in rows]
             poses = [
                 (int(stamps[row]), TYPES[PATH](header(int(stamps[row]), frame), steps[: row + 1]))
                 for row in (*rows[9::10], rows[-1])

@@ -161,8 +161,8 @@ def test_links_in_the_folder_of_a_comparison_are_not_followed(
     (out / "runs").rename(elsewhere)
     (out / "runs").symlink_to(elsewhere)
     assert main([*common, str(out)]) == 2
-    said = capsys.readouterr().err
-    assert f"{out}/runs is a symbolic link; remove it" in said
+    text = capsys.readouterr().err
+    assert f"{out}/runs is a symbolic link; remove it" in text
 
 
 @pytest.mark.parametrize("name", ["figures", "report"])
@@ -206,8 +206,8 @@ def test_a_comparison_replaces_only_results_of_a_comparison(
         path.mkdir(parents=True)
         (path / "runs_1.html").write_text("mine")
     assert main(["compare", str(config), "-q", "--output", str(path.parent)]) == 2
-    said = capsys.readouterr().err
-    assert f"{path} is not from a comparison, which replaces it; choose another --output" in said
+    text = capsys.readouterr().err
+    assert f"{path} is not from a comparison, which replaces it; choose another --output" in text
     assert [item.name for item in path.parent.iterdir()] == [name]
 
 
@@ -270,9 +270,9 @@ def test_a_folder_is_no_file(
 
 @pytest.mark.parametrize("words", ["evaluate a b --output", "compare a b --output", "view"])
 def test_results_are_on_this_machine(words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    said = refused([*words.split(), "s3://secret@bucket/out"], capsys)
-    assert "this is a URL; give a path of this machine" in said
-    assert "secret" not in said
+    text = refused([*words.split(), "s3://secret@bucket/out"], capsys)
+    assert "this is a URL; give a path of this machine" in text
+    assert "secret" not in text
 
 
 @pytest.mark.slow
@@ -302,8 +302,8 @@ def test_sources_must_be_files_or_pipes(
 def test_options_that_would_do_nothing_are_refused(
     pair: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = refused([*pair, "--max-time-difference", "0.01"], capsys)
-    assert "association auto interpolates and has no max time difference" in said
+    text = refused([*pair, "--max-time-difference", "0.01"], capsys)
+    assert "association auto interpolates and has no max time difference" in text
     more = ["--max-time-difference", "0.01", "--association", "nearest"]
     assert main([*pair, *more, "-q"]) == 0
 

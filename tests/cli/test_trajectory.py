@@ -28,15 +28,15 @@ def rows(text: str) -> dict[str, list[str]]:
 
 def test_the_table_says_what_trajectories_are(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["trajectory", GT, EST]) == 0
-    found = rows(capsys.readouterr().out)
+    result = rows(capsys.readouterr().out)
     estimate = read_trajectory(EST)
-    poses, duration, rate, path, mean, *_ = found["est"]
+    poses, duration, rate, path, mean, *_ = result["est"]
     assert int(poses) == len(estimate)
     assert float(duration) == pytest.approx(estimate.duration_s, abs=1e-3)
     assert float(rate) == pytest.approx(20.0)
     assert float(path) == pytest.approx(estimate.path_length_m, abs=1e-3)
     assert float(mean) == pytest.approx(estimate.path_length_m / estimate.duration_s, abs=1e-3)
-    assert int(found["gt"][0]) == 4000
+    assert int(result["gt"][0]) == 4000
 
 
 @pytest.mark.parametrize("largest", ["-1", "0", "nan", "inf"])
@@ -87,8 +87,8 @@ def test_transformed_there_and_back(tmp_path: Path) -> None:
     )
     moved = ["--transform-left", str(tmp_path / "move.yaml"), "--save-as", "tum", "-q"]
     assert main(["trajectory", EST, *moved, "--output", str(tmp_path / "out")]) == 0
-    found, before = read_trajectory(tmp_path / "out/est.txt"), read_trajectory(EST)
-    np.testing.assert_allclose(found.positions, 2.0 * before.positions + [1.0, 2.0, -3.0])
+    result, before = read_trajectory(tmp_path / "out/est.txt"), read_trajectory(EST)
+    np.testing.assert_allclose(result.positions, 2.0 * before.positions + [1.0, 2.0, -3.0])
     assert main(["trajectory", EST, "--transform-right", str(tmp_path / "move.yaml")]) == 2
 
 

@@ -108,14 +108,14 @@ def test_it_is_the_derivative_of_perturb_and_align_again(
             again = alignment_of(gauge, states, truth, other).trajectory(other)
             ends.append(errors_of(moved, again))
         numeric = (ends[0] - ends[1]) / (2.0 * step)
-        turned = np.concatenate(
+        rotated = np.concatenate(
             [
                 similarity.vectors(direction[:, :3]),
                 direction[:, 3:] @ similarity.rotation.T,
             ],
             axis=1,
         )
-        expected = (_dense(item) @ turned.ravel()).reshape(numeric.shape)
+        expected = (_dense(item) @ rotated.ravel()).reshape(numeric.shape)
         assert np.abs(numeric - expected).max() < 1e-6 * np.abs(expected).max()
 
 
@@ -125,10 +125,10 @@ def test_it_forgets_which_gauge_the_covariance_came_from(
 ) -> None:
     problem, state = scene.measured(np.random.default_rng(0)), scene.groundtruth
     truth = trajectory_of(scene, scene.groundtruth)
-    turn, shift = so3.exp(0.9 * DOWN), np.array([4.0, -1.0, 2.0])
-    elsewhere = trajectory_of(scene, state.transformed(turn, shift))
+    rotation, shift = so3.exp(0.9 * DOWN), np.array([4.0, -1.0, 2.0])
+    elsewhere = trajectory_of(scene, state.transformed(rotation, shift))
     # Turned with its states, velocities as well.
-    there = np.kron(np.eye(3 * len(truth)), turn)
+    there = np.kron(np.eye(3 * len(truth)), rotation)
     outcomes = [
         aligned_run(gauge, states, truth, elsewhere, there @ covariance @ there.T).covariance
         for covariance in (
@@ -190,15 +190,15 @@ def test_sparse_information_gives_the_nees_of_the_dense_covariance(
     moved = similarity.trajectory(estimate)
     item = STransformation.of_alignment(gauge, states, truth, moved)
     noise = None
-    turned = carried(poses_of(covariance), similarity)
+    rotated = carried(poses_of(covariance), similarity)
     if noisy:  # of another marker for each state, to tell their blocks apart
         variances = np.repeat([0.002**2, np.radians(0.1) ** 2], 3)
         independent = np.broadcast_to(np.diag(variances), (len(truth), 6, 6))
         noise = at_arms(independent, np.random.default_rng(4).normal(size=(len(truth), 3)))
-        turned += scipy.linalg.block_diag(*noise)
+        rotated += scipy.linalg.block_diag(*noise)
     # What the conditions leave open to second order is no part of the comparison.
     errors = (_dense(item) @ errors_of(truth, moved).ravel()).reshape(-1, 6)
-    dense = joint_nees(errors, item.covariance(turned), item.normals)
+    dense = joint_nees(errors, item.covariance(rotated), item.normals)
     sparse = carried_information(scipy.sparse.csr_matrix(information), similarity, 9)
     extra = extra_directions(item)
     assert joint_nees_by_information(errors, sparse, extra, noise) == pytest.approx(

@@ -130,9 +130,9 @@ def _in_plane(unset: float) -> AlignedStates:
         Trajectory(
             stamps,
             positions + moved,
-            Rotation.from_rotvec(np.outer(headings + turned, [0.0, 0.0, 1.0])).as_quat(),
+            Rotation.from_rotvec(np.outer(headings + rotated, [0.0, 0.0, 1.0])).as_quat(),
         )
-        for moved, turned in ((0.0, 0.0), (np.c_[errors[:, :2], np.ones(count)], errors[:, 2]))
+        for moved, rotated in ((0.0, 0.0), (np.c_[errors[:, :2], np.ones(count)], errors[:, 2]))
     )
     estimate = dataclasses.replace(estimate, covariances=covariances)
     return AlignedStates(truth, estimate, Similarity.identity(), Gauge.NONE, None)
@@ -141,20 +141,20 @@ def _in_plane(unset: float) -> AlignedStates:
 @pytest.mark.parametrize("unset", [0.0, 1e9])
 def test_a_robot_in_a_plane_is_tested_in_three_degrees_of_freedom(unset: float) -> None:
     run = _in_plane(unset)
-    found = assess_marginals(run, from_the_start=True)
+    result = assess_marginals(run, from_the_start=True)
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 3 * 400) / (3 * 400)
-    assert low < found.per_pose.mean < high
-    assert found.per_pose.limit_95 == pytest.approx(chi2.isf(0.05 / 400, 3) / 3)
-    assert found.axes == (2, 1)
-    assert not found.errors[:, 2:5].any()  # the height is wrong by 1 m, and has no variance
+    assert low < result.per_pose.mean < high
+    assert result.per_pose.limit_95 == pytest.approx(chi2.isf(0.05 / 400, 3) / 3)
+    assert result.axes == (2, 1)
+    assert not result.errors[:, 2:5].any()  # the height is wrong by 1 m, and has no variance
     bounds = [
         assess_marginals(dataclasses.replace(run, gauge=gauge), from_the_start=True)
         for gauge in (Gauge.PLANAR, Gauge.YAW)
     ]
     assert [bound.exactness for bound in bounds] == ["bound", "bound"]
     np.testing.assert_allclose(bounds[0].nees, bounds[1].nees, rtol=1e-12)
-    assert (bounds[0].nees <= found.nees + 1e-12).mean() > 0.9
-    parts = integrity_of(found, IntegrityRequest(0.5, 5.0), run.estimate.stamps).parts
+    assert (bounds[0].nees <= result.nees + 1e-12).mean() > 0.9
+    parts = integrity_of(result, IntegrityRequest(0.5, 5.0), run.estimate.stamps).parts
     assert [part.part for part in parts] == ["horizontal", "heading"]
     with pytest.raises(InputError, match="use gauge planar or yaw"):
         assess_marginals(dataclasses.replace(run, gauge=Gauge.SE3), from_the_start=True)
@@ -185,13 +185,13 @@ def test_body_axes_are_turned_into_the_worlds(seed: int) -> None:
     rotation = Rotation.random(3, random_state=seed)
     covariance = _good(3)
     matrices = rotation.as_matrix()
-    turned = world_from_body_rotations(covariance, matrices)
+    rotated = world_from_body_rotations(covariance, matrices)
     # R exp(d) = exp(R d) R: a body-frame error d is R d in the world.
     error = generator.normal(size=(3, 6))
     world = error.copy()
     world[:, 3:] = rotation.apply(error[:, 3:])
     body_nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
-    world_nees = np.einsum("ni,nij,nj->n", world, np.linalg.inv(turned), world)
+    world_nees = np.einsum("ni,nij,nj->n", world, np.linalg.inv(rotated), world)
     np.testing.assert_allclose(world_nees, body_nees, rtol=1e-6)
 
 

@@ -183,8 +183,8 @@ def test_simulated_flights_are_overconfident_whatever_their_seed() -> None:
             information=information,
             gauge="free",
         )
-        found = evaluate(flown.groundtruth, estimate, Protocol(gauge="yaw", lengths=()))
-        nees = assess_consistency(found, CovarianceRequest("joint", joint)).joint
+        result = evaluate(flown.groundtruth, estimate, Protocol(gauge="yaw", lengths=()))
+        nees = assess_consistency(result, CovarianceRequest("joint", joint)).joint
         assert nees is not None
         # Several times its dof; every one of these flights had 1.06 to 1.6 with EuRoC's IMU.
         assert nees.nees / nees.dof > 3.0
@@ -211,9 +211,9 @@ def test_noise_of_the_groundtruth_counts(
             item = aligned_run(gauge, states, measured, *run)
             moved = item.similarity.trajectory(run.estimate)
             transformation = STransformation.of_alignment(gauge, states, measured, moved)
-            turned = carried(poses_of(run.covariance), item.similarity)
+            rotated = carried(poses_of(run.covariance), item.similarity)
             errors = errors_of(measured, moved)
-            for values, covariance in ((known, turned + noise), (ignored, turned)):
+            for values, covariance in ((known, rotated + noise), (ignored, rotated)):
                 projected = transformation.covariance(covariance)
                 values.append(joint_nees(errors, projected, transformation.normals))
         dof = transformation.dof
@@ -300,6 +300,6 @@ def test_honest_samples_few_runs() -> None:
 def test_runs_begin_in_a_frame_of_their_own() -> None:
     scene = scene_of("rec", "random")
     state = Sampler(scene).draw(np.random.default_rng(1)).state
-    turn = so3.yaw_of_matrix(state.rotations[0] @ scene.groundtruth.rotations[0].T)
-    assert abs(float(turn)) > 0.1
+    rotation = so3.yaw_of_matrix(state.rotations[0] @ scene.groundtruth.rotations[0].T)
+    assert abs(float(rotation)) > 0.1
     assert np.linalg.norm(state.positions[0] - scene.groundtruth.positions[0]) > 0.1

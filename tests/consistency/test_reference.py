@@ -34,8 +34,8 @@ def test_errors_covariance_and_nees(
     truth, estimate = case.trajectory("gt"), case.trajectory("est")
     run = aligned_run(gauge, states, truth, estimate, covariance)
     assert run.similarity.scale == pytest.approx(expected["scale"], rel=1e-9)
-    turn = so3.log(run.similarity.rotation[None])[0]
-    np.testing.assert_allclose(turn, expected["rotvec"], atol=1e-9)
+    rotation = so3.log(run.similarity.rotation[None])[0]
+    np.testing.assert_allclose(rotation, expected["rotvec"], atol=1e-9)
     assert relative(run.similarity.translation, np.array(expected["t"])) < 1e-9
     errors, joint = np.array(expected["error"]).reshape(-1, 9), np.array(expected["cov"])
     assert relative(run.errors, errors[:, :6]) < 1e-9

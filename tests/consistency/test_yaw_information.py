@@ -123,9 +123,9 @@ def test_the_standard_deviations_are_said() -> None:
 
 def test_other_axes_and_planes_are_not_tested() -> None:
     stamps, covariances = blocks(np.geomspace(1.0, 0.1, 400))
-    turned = covariances[:, [2, 0, 1]][:, :, [2, 0, 1]]  # x is vertical
-    assert remark_of(stamps, turned) is None
-    assert remark_of(stamps, turned, np.array([1.0, 0.0, 0.0])) is not None
+    rotated = covariances[:, [2, 0, 1]][:, :, [2, 0, 1]]  # x is vertical
+    assert remark_of(stamps, rotated) is None
+    assert remark_of(stamps, rotated, np.array([1.0, 0.0, 0.0])) is not None
     covariances[:, 0, 0] = 0.0
     assert remark_of(stamps, covariances) is None
     assert remark_of(stamps, np.full_like(covariances, np.nan)) is None

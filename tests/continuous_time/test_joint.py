@@ -32,11 +32,11 @@ def test_close_queries_share_a_knot_of_a_grid(order: int) -> None:
     assert cells == pytest.approx({2: 1e3, 3: 63.1}[order], abs=1.0)
     cell = 1.0 / cells
     asked = np.array([1.3, 1.3 + 0.2 * cell, 2.0 + 0.3 * cell, 3.0 - 0.3 * cell, 2.6])
-    found = _knots(own, asked, order)
+    result = _knots(own, asked, order)
     on_grid = np.rint(0.3 * cells) / cells
-    np.testing.assert_allclose(found[0], 1.0 + on_grid, atol=1e-14)
-    assert abs(found[1] - found[0]) < 1.01 * cell
-    assert found[2:].tolist() == [2.0, 3.0, 2.6]
+    np.testing.assert_allclose(result[0], 1.0 + on_grid, atol=1e-14)
+    assert abs(result[1] - result[0]) < 1.01 * cell
+    assert result[2:].tolist() == [2.0, 3.0, 2.6]
     # A step twice as long has cells twice as long; shorter steps have fewer cells.
     long = _knots(own, np.array([4.0, 4.0 + 1.9 * cell]), order)
     np.testing.assert_allclose(long[0], 3.0 + 2.0 * np.rint(0.5 * cells) / cells, atol=1e-14)

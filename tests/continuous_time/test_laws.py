@@ -58,9 +58,9 @@ def smooth(count: int, seed: int = 0, step_s: float = 0.2) -> Trajectory:
     times = step_s * np.arange(count)
     phase = random.uniform(0.0, 2.0 * np.pi, size=(2, 3))
     positions = np.array([3.0, 2.0, 1.0]) * np.sin(times[:, None] * [0.5, 0.7, 0.9] + phase[0])
-    turns = np.array([0.2, 0.2, 1.2]) * np.sin(times[:, None] * [0.8, 0.6, 0.4] + phase[1])
+    rotations = np.array([0.2, 0.2, 1.2]) * np.sin(times[:, None] * [0.8, 0.6, 0.4] + phase[1])
     stamps = 1_700_000_000_000_000_000 + np.round(times * 1e9).astype(np.int64)
-    return Trajectory(stamps, positions, Rotation.from_rotvec(turns).as_quat())
+    return Trajectory(stamps, positions, Rotation.from_rotvec(rotations).as_quat())
 
 
 def jump(below: Belief, above: Belief) -> float:
@@ -127,10 +127,10 @@ def test_hyperparameters_are_recovered() -> None:
     lags = times[:, :, None] - times[:, None, :]
     covariance = 1.5**2 * MATERN_52.between(lags[0], 0.6) + 0.02**2 * np.eye(20)
     targets = np.linalg.cholesky(covariance) @ random.normal(size=(40, 20, 3))
-    kernel, found = most_likely((MATERN_32, MATERN_52), times, targets, 0.02, 0.1)
+    kernel, result = most_likely((MATERN_32, MATERN_52), times, targets, 0.02, 0.1)
     assert kernel is MATERN_52
-    assert found.sigma == pytest.approx(1.5, rel=0.3)
-    assert found.length == pytest.approx(0.6, rel=0.3)
+    assert result.sigma == pytest.approx(1.5, rel=0.3)
+    assert result.length == pytest.approx(0.6, rel=0.3)
 
 
 @pytest.mark.parametrize("count", range(13, 61))
@@ -156,19 +156,21 @@ def test_continuous_across_gaps_too(model: str) -> None:
 @pytest.mark.parametrize("model", [name for name in UNCERTAIN if name != "paper"])
 def test_few_samples_between_gaps_are_believed(model: str) -> None:
     seconds = np.r_[0:1500, 2100, 2700:2712, 3400, 3401, 4000:5500, 5990:6000] / 300.0
-    turn = np.stack([0.3 * np.sin(seconds), 0.2 * np.cos(0.7 * seconds), 0.8 * seconds], axis=1)
+    rotation = np.stack(
+        [0.3 * np.sin(seconds), 0.2 * np.cos(0.7 * seconds), 0.8 * seconds], axis=1
+    )
     some = Trajectory(
         (1e9 * seconds).astype(np.int64) + 10**18,
-        np.stack([np.sin(turn[:, 2]), np.cos(turn[:, 2]), turn[:, 0]], axis=1),
-        Rotation.from_rotvec(turn).as_quat(),
+        np.stack([np.sin(rotation[:, 2]), np.cos(rotation[:, 2]), rotation[:, 0]], axis=1),
+        Rotation.from_rotvec(rotation).as_quat(),
     )
     assert some.rotations is not None
     fitted = fit_trajectory(some, model, Noise(0.005, 0.01))
     belief = fitted.at(some.stamps)
     apart = np.linalg.norm(belief.poses[:, :3, 3] - some.positions, axis=1)
     assert apart.max() < 3.0 * 0.005
-    turned = some.rotations.inv() * Rotation.from_matrix(belief.poses[:, :3, :3])
-    assert turned.magnitude().max() < 3.0 * 0.01
+    rotated = some.rotations.inv() * Rotation.from_matrix(belief.poses[:, :3, :3])
+    assert rotated.magnitude().max() < 3.0 * 0.01
     knots = fitted.samples.times[1:-1]
     near = jump(fitted.poses.at(knots - 1e-9), fitted.poses.at(knots + 1e-9))
     assert near < 1e-5
@@ -232,17 +234,17 @@ def test_samples_are_interpolated_as_their_noise_vanishes(model: str, noise: flo
 def test_another_world_frame_changes_nothing(model: str, seed: int) -> None:
     random = np.random.default_rng(seed)
     motion = smooth(40, seed % 7)
-    turn = Rotation.random(random_state=seed % 2**31)
+    rotation = Rotation.random(random_state=seed % 2**31)
     shift = random.normal(scale=50.0, size=3)
     assert motion.rotations is not None
     moved = dataclasses.replace(
         motion,
-        positions=turn.apply(motion.positions) + shift,
-        quaternions=(turn * motion.rotations).as_quat(),
+        positions=rotation.apply(motion.positions) + shift,
+        quaternions=(rotation * motion.rotations).as_quat(),
     )
     stamps = motion.stamps[:-1] + 70_000_000
     here, there = (fit_trajectory(item, model).at(stamps) for item in (motion, moved))
-    world = se3.poses(turn.as_matrix(), shift)
+    world = se3.poses(rotation.as_matrix(), shift)
     # The optimiser stops within its tolerance of the most likely hyperparameters.
     np.testing.assert_allclose(there.poses, world @ here.poses, atol=2e-5)
     np.testing.assert_allclose(there.covariances, here.covariances, rtol=2e-2, atol=1e-9)
@@ -311,8 +313,8 @@ def test_markov_positions_are_a_dense_gaussian_process(order: int) -> None:
         "qi,ij,qj->q", left, known, left
     )
     process = solved(Positions(), order, times, positions, noise, density)
-    found, spread = process.interpolator().at(asked)
-    np.testing.assert_allclose(found, mean, atol=1e-9)
+    result, spread = process.interpolator().at(asked)
+    np.testing.assert_allclose(result, mean, atol=1e-9)
     np.testing.assert_allclose(spread[:, 0, 0], variance, atol=1e-9)
 
 
@@ -386,10 +388,10 @@ def test_joint_posterior_at_queries_close_to_samples_and_to_each_other(order: in
         errors.ravel() @ np.linalg.solve(dense + tolerance, errors.ravel())
         + np.linalg.slogdet(2.0 * np.pi * (dense + tolerance))[1]
     )
-    found = joint.observed(np.tile(1e-4 * np.eye(3), (12, 1, 1))).log_density(errors)
+    result = joint.observed(np.tile(1e-4 * np.eye(3), (12, 1, 1))).log_density(errors)
     # The information between the closest knots is 1 / _SAME_SHARE of that of a step, and rounding
     # errors of both sides grow by it: 2.2e-7 for an operation, a few of them here.
-    assert found == pytest.approx(expected, rel=10 * np.finfo(float).eps / _SAME_SHARE)
+    assert result == pytest.approx(expected, rel=10 * np.finfo(float).eps / _SAME_SHARE)
 
 
 def test_positions_alone_are_enough() -> None:
@@ -436,9 +438,9 @@ def test_no_motion_is_said_and_gives_no_confident_number(model: str) -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_half_turns_in_a_gap_are_said(model: str) -> None:
     motion = smooth(40)
-    turns = np.zeros((40, 3))
-    turns[20:, 2] = 3.0
-    wild = dataclasses.replace(motion, quaternions=Rotation.from_rotvec(turns).as_quat())
+    rotations = np.zeros((40, 3))
+    rotations[20:, 2] = 3.0
+    wild = dataclasses.replace(motion, quaternions=Rotation.from_rotvec(rotations).as_quat())
     fitted = fit_trajectory(wild, model)
     assert any(
         "differ by more than 115 deg at 1 place" in statement for statement in fitted.statements
@@ -503,7 +505,7 @@ def test_the_factor_of_the_inverse_jacobian_and_its_derivatives(angle: float) ->
         np.sum((terms * powers)[1:] * square ** (powers[1:] - 1.0)),
         np.sum((terms * powers * (powers - 1.0))[2:] * square ** (powers[2:] - 2.0)),
     ]
-    found = np.ravel(_factors(np.array([[0.0, angle, 0.0]])))
+    result = np.ravel(_factors(np.array([[0.0, angle, 0.0]])))
     # The closed form of the second derivative divides rounding errors by s^3, at s = 0.5.
-    for one, other, tolerance in zip(found, expected, [1e-12, 1e-11, 1e-9], strict=True):
+    for one, other, tolerance in zip(result, expected, [1e-12, 1e-11, 1e-9], strict=True):
         assert one == pytest.approx(other, rel=tolerance)

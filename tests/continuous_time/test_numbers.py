@@ -160,8 +160,8 @@ def test_local_variables_of_rotations_are_derivatives(seed: int, size: float) ->
 
     def path(time: float) -> Array:
         """Body rate w + a t to second order: Exp of the integral, the next term is t^3."""
-        turn = rate * time + 0.5 * acceleration * time**2
-        return so3.log(so3.exp(start) @ so3.exp(turn))
+        rotation = rate * time + 0.5 * acceleration * time**2
+        return so3.log(so3.exp(start) @ so3.exp(rotation))
 
     step = 1e-4
     before, now, after = (path(time) for time in (-step, 0.0, step))

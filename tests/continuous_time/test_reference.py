@@ -102,9 +102,9 @@ def test_experts_and_their_weights_by_another_blending(numbers: Any, place: int)
     given = numbers["piecewise_gp"]
     case = given["cases"][place]
     process = piecewise_process(given, case)
-    found = averaged_precisions(process, np.array(given["tq"]))
-    np.testing.assert_allclose(found.poses, case["gpoe"]["mean"], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found.covariances, case["gpoe"]["cov"], rtol=1e-8, atol=1e-11)
+    result = averaged_precisions(process, np.array(given["tq"]))
+    np.testing.assert_allclose(result.poses, case["gpoe"]["mean"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(result.covariances, case["gpoe"]["cov"], rtol=1e-8, atol=1e-11)
 
 
 @pytest.mark.parametrize("group", ["r3", "so3", "se3"])

@@ -34,8 +34,8 @@ def of_stamps(seconds: Array, positions: Array, turns: Array | None = None) -> T
 def test_close_samples_are_merged_by_their_means() -> None:
     seconds = np.array([0.0, 1.0, 2.0, 2.004, 2.008, 3.0, 4.0, 4.0099, 5.0])
     positions = np.arange(27.0).reshape(9, 3)
-    turns = np.outer(np.array([0, 1, 2, 2.3, 2.6, 3, 4, 4.5, 5]) * 0.1, [0.0, 1.0, 0.0])
-    samples = Samples.of(of_stamps(seconds, positions, turns), Noise())
+    rotations = np.outer(np.array([0, 1, 2, 2.3, 2.6, 3, 4, 4.5, 5]) * 0.1, [0.0, 1.0, 0.0])
+    samples = Samples.of(of_stamps(seconds, positions, rotations), Noise())
     # The median step is 0.995 s, of which 1 % is 9.95 ms.
     assert samples.merged == 3
     np.testing.assert_allclose(samples.times, [0, 1, 2.004, 3, 4.00495, 5], atol=1e-9)
@@ -62,8 +62,8 @@ def test_samples_of_two_poses_are_enough() -> None:
 
 
 def test_simple_rules_between_two_samples() -> None:
-    turns = np.outer([0.0, 0.4, 0.4], [0.0, 0.0, 1.0])
-    samples = samples_at(np.array([0.0, 2.0, 3.0]), np.outer([0, 4, 10], [1.0, 0, 0]), turns)
+    rotations = np.outer([0.0, 0.4, 0.4], [0.0, 0.0, 1.0])
+    samples = samples_at(np.array([0.0, 2.0, 3.0]), np.outer([0, 4, 10], [1.0, 0, 0]), rotations)
     asked = np.array([0.5, 1.0, 1.5, 2.25, 3.0])
     linear = LinearInterpolation(samples).at(asked)
     np.testing.assert_allclose(linear.poses[:, 0, 3], [1, 2, 3, 5.5, 10], atol=1e-12)
@@ -101,7 +101,7 @@ def test_auto_is_the_candidate_of_the_largest_held_out_likelihood(
     seconds = np.arange(240.0)
     noise = Noise(0.05, 0.02)
     positions = generator.normal(scale=0.05, size=(240, 3))
-    turns = generator.normal(scale=0.02, size=(240, 3))
+    rotations = generator.normal(scale=0.02, size=(240, 3))
 
     class Constant:
         """The mean at rest, with a covariance."""
@@ -119,7 +119,7 @@ def test_auto_is_the_candidate_of_the_largest_held_out_likelihood(
     factors = {"matern": 1.0, "wnoa": 1e-6, "wnoj": 10.0}
     fits = {name: lambda _, f=f: Constant(f) for name, f in factors.items()}
     monkeypatch.setattr(continuous_trajectory, "_FITS", {**continuous_trajectory._FITS, **fits})
-    samples = Samples.of(of_stamps(seconds, positions, turns if oriented else None), noise)
+    samples = Samples.of(of_stamps(seconds, positions, rotations if oriented else None), noise)
     assert continuous_trajectory._most_predictive(samples) == "wnoa"
     few = samples[np.arange(7)]
     assert continuous_trajectory._most_predictive(few) == "matern"

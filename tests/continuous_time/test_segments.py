@@ -47,12 +47,12 @@ def test_coordinates_of_segments_are_relative_to_the_middle() -> None:
             np.array([0, 1]), nothing, np.tile(np.arange(1.0, 7.0), (2, 1))
         )
         np.testing.assert_allclose(poses, segments.references, atol=1e-14)
-        turn = segments.references[:, :3, :3]
+        rotation = segments.references[:, :3, :3]
         expected = np.zeros((2, 6, 6))
         expected[:, 3:, 3:] = np.diag([4.0, 5.0, 6.0])
         positions = np.diag([1.0, 2.0, 3.0])
         expected[:, :3, :3] = (
-            positions if joint else se3.congruent(se3.transposed(turn), positions)
+            positions if joint else se3.congruent(se3.transposed(rotation), positions)
         )
         np.testing.assert_allclose(spread, expected, atol=1e-12)
         for segment in (0, 1):
@@ -75,8 +75,8 @@ def test_covariances_of_segments_are_those_of_perturbations_on_the_right(joint: 
         )
         jacobian[:, axis] = se3.log(se3.inverse(behind) @ ahead)[0] / 2e-6
     if not joint:  # a position is perturbed along the axes of the mean's body
-        turn = pose[0, :3, :3].T
-        np.testing.assert_allclose(jacobian[:3, :3], turn, atol=1e-8)
+        rotation = pose[0, :3, :3].T
+        np.testing.assert_allclose(jacobian[:3, :3], rotation, atol=1e-8)
     expected = jacobian @ np.diag(variances[0]) @ jacobian.T
     np.testing.assert_allclose(covariance[0], expected, atol=1e-7)
 

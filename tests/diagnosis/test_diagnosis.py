@@ -56,11 +56,11 @@ def test_the_finding_stands_under_the_headline_and_nowhere_else(
     )
     assert "millimetres" not in shown.err
     assert "jumps" not in shown.err
-    (found,) = json.loads(result.read_text())["runs"][0]["diagnosis"]
-    assert found["cause"] == "unit"
-    assert found["option"] == "--correct unit"
-    assert found["evidence"]["scale"] == pytest.approx(1e-3, rel=0.05)
-    assert found["before"]["position_m"] > 1000.0 * found["after"]["position_m"]
+    (outcome,) = json.loads(result.read_text())["runs"][0]["diagnosis"]
+    assert outcome["cause"] == "unit"
+    assert outcome["option"] == "--correct unit"
+    assert outcome["evidence"]["scale"] == pytest.approx(1e-3, rel=0.05)
+    assert outcome["before"]["position_m"] > 1000.0 * outcome["after"]["position_m"]
 
 
 def test_a_correction_is_printed_with_the_errors_before_and_after(
@@ -110,10 +110,10 @@ def test_a_converted_file_gives_the_same_numbers_as_the_correction(
             given[3] = str(tmp_path / "converted" / "vio.txt")
         arguments = [*given, "--gauge", "yaw", "--json", str(result), "--quiet"]
         assert main(["evaluate", *arguments, *option]) == 0
-        found = json.loads(result.read_text())["runs"][0]
-        ates.append([found["ate"][item]["rmse"] for item in ("position_m", "rotation_deg")])
+        outcome = json.loads(result.read_text())["runs"][0]
+        ates.append([outcome["ate"][item]["rmse"] for item in ("position_m", "rotation_deg")])
         if option:
-            (corrected,) = found["corrected"]
+            (corrected,) = outcome["corrected"]
             assert corrected["option"] == f"--correct {corrected['cause']}"
             assert main(["evaluate", given[1], given[3], "--gauge", "yaw"]) == 0
             lines = capsys.readouterr().out.splitlines()
@@ -125,10 +125,10 @@ def test_a_converted_file_gives_the_same_numbers_as_the_correction(
 
 def test_nothing_is_corrected_without_a_request() -> None:
     wrong = MISTAKES["estimate in mm"].make(DRONE)
-    found = run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0]
-    assert found.corrected == ()
+    result = run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0]
+    assert result.corrected == ()
     plain = run(DRONE.truth, [DRONE.estimate], Request(DRONE.protocol)).runs[0]
-    assert found.diagnosis.suggested is not None
+    assert result.diagnosis.suggested is not None
     assert plain.diagnosis.suggested is None
 
 
@@ -147,8 +147,8 @@ def test_all_poses_twice_are_100_percent() -> None:
         *(np.concatenate([item, item]) for item in (DRONE.estimate.stamps,
                                                     DRONE.estimate.positions))
     )  # fmt: skip
-    found = run(DRONE.truth, [twice], Request(DRONE.protocol)).runs[0].diagnosis
-    assert "100 % of the estimate's poses occur twice" in found.findings[0].text
+    result = run(DRONE.truth, [twice], Request(DRONE.protocol)).runs[0].diagnosis
+    assert "100 % of the estimate's poses occur twice" in result.findings[0].text
 
 
 @pytest.mark.parametrize(("every", "is_told"), [(3, True), (20, False)])
@@ -159,9 +159,9 @@ def test_many_unusable_poses_are_told(every: int, is_told: bool) -> None:
         DRONE.estimate.stamps, positions, DRONE.estimate.quaternions
     )
     (outcome,) = run(DRONE.truth, [estimate], Request(DRONE.protocol)).runs
-    said = "33.3 % of the estimate's poses are not usable and were dropped: "
-    said += f"{-(-len(positions) // 3)} not finite"
-    assert any(warning.startswith(said) for warning in outcome.evaluation.warnings) == is_told
+    text = "33.3 % of the estimate's poses are not usable and were dropped: "
+    text += f"{-(-len(positions) // 3)} not finite"
+    assert any(warning.startswith(text) for warning in outcome.evaluation.warnings) == is_told
     # An estimate that is interpolated has no coverage, and its unusable poses are counted.
     rule = AssociationRule("groundtruth-stamps")
     request = Request(dataclasses.replace(DRONE.protocol, association=rule))
@@ -174,14 +174,14 @@ def test_why_a_length_has_no_sub_trajectories_is_told() -> None:
     protocol = Protocol(gauge="yaw", lengths=("0.1s", "0.01m", "1000m", "500s"))
     (outcome,) = run(DRONE.truth, [sparse], Request(protocol)).runs
     step_s = float(np.median(np.diff(sparse.seconds)))
-    said = [
+    text = [
         warning for warning in outcome.evaluation.warnings if warning.startswith("no sub-traj")
     ]
-    assert said[0].startswith("no sub-trajectories of 1000 m, 500 s: the paired path has ")
-    assert said[1].startswith(
+    assert text[0].startswith("no sub-trajectories of 1000 m, 500 s: the paired path has ")
+    assert text[1].startswith(
         f"no sub-trajectories of 0.1 s, 0.01 m: pairs are {step_s:.2g} s and "
     )
-    assert said[1].endswith("m apart (median); use longer sub-trajectories")
+    assert text[1].endswith("m apart (median); use longer sub-trajectories")
 
 
 def test_a_correction_that_no_option_makes_is_refused() -> None:
@@ -246,10 +246,10 @@ def test_a_copy_of_the_groundtruth_is_named(protocol: str, decimals: int) -> Non
     copy = dataclasses.replace(truth, positions=truth.positions.round(decimals))
     by_index = protocol == "kitti"
     for estimate in (copy, copy if by_index else copy[7:-9:5]):
-        found = run(truth, [estimate], Request(protocol_named(protocol))).runs[0].diagnosis
-        assert found.findings[0].cause == "identical"
-        assert "100 % of the positions" in found.findings[0].text
-        assert ("in equal rows" in found.findings[0].text) == by_index
+        result = run(truth, [estimate], Request(protocol_named(protocol))).runs[0].diagnosis
+        assert result.findings[0].cause == "identical"
+        assert "100 % of the positions" in result.findings[0].text
+        assert ("in equal rows" in result.findings[0].text) == by_index
 
 
 def test_a_copy_of_four_poses_is_named_and_a_body_at_rest_is_not() -> None:
@@ -261,11 +261,13 @@ def test_a_copy_of_four_poses_is_named_and_a_body_at_rest_is_not() -> None:
 
 def test_a_moved_copy_is_named() -> None:
     truth = DRONE.truth
-    turn = so3.exp(np.array([0.1, -0.2, 2.0]))
-    moved = dataclasses.replace(truth, positions=truth.positions @ turn.T + [0.1, 0.2, 0.3])
-    found = run(truth, [moved], Request(Protocol(gauge="yaw"))).runs[0].diagnosis.findings[0]
-    assert found.cause == "identical"
-    assert "100 % of the positions at equal timestamps, after a rigid fit, are equal" in found.text
+    rotation = so3.exp(np.array([0.1, -0.2, 2.0]))
+    moved = dataclasses.replace(truth, positions=truth.positions @ rotation.T + [0.1, 0.2, 0.3])
+    result = run(truth, [moved], Request(Protocol(gauge="yaw"))).runs[0].diagnosis.findings[0]
+    assert result.cause == "identical"
+    assert (
+        "100 % of the positions at equal timestamps, after a rigid fit, are equal" in result.text
+    )
     scaled = dataclasses.replace(truth, positions=truth.positions * 1.001)
     assert "identical" not in _causes(truth, scaled, Protocol(gauge="yaw"))
 
@@ -377,8 +379,8 @@ def test_covariances_in_another_order_or_unit(
     sigmas = np.roll(sigmas, 3) if exchanged else sigmas
     covariances = np.linspace(1.0, 1.001, len(DRONE.estimate))[:, None, None] * np.diag(sigmas**2)
     told = dataclasses.replace(DRONE.estimate, covariances=covariances)
-    found = run(DRONE.truth, [told], request).runs[0].diagnosis
-    assert [finding.cause for finding in found.findings] == causes
+    result = run(DRONE.truth, [told], request).runs[0].diagnosis
+    assert [finding.cause for finding in result.findings] == causes
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("handheld", 1), ("robot", 4)])

@@ -290,14 +290,14 @@ def test_events_and_segments_are_in_the_result(
     shared = ["evaluate", *files, "--gauge", "se3", "--lengths", "none"]
     assert main([*shared, "--on-restart", "split", "--json", result]) == 0
     shown = capsys.readouterr().out.splitlines()
-    found = json.loads(Path(result).read_text())["runs"][0]
-    (event,) = found["events"]
+    measured = json.loads(Path(result).read_text())["runs"][0]
+    (event,) = measured["events"]
     assert (event["kind"], event["side"], event["certainty"]) == ("restart", "estimate", "sure")
     assert event["gap_s"] == pytest.approx(1.0, abs=0.1)
-    parts = found["segments"]
+    parts = measured["segments"]
     squares = sum(part["pairs"] * part["ate"] ** 2 for part in parts)
     together = math.sqrt(squares / sum(part["pairs"] for part in parts))
-    assert found["ate_of_segments_m"] == pytest.approx(together)
+    assert measured["ate_of_segments_m"] == pytest.approx(together)
     assert f"(2 parts: {together:.4g}" in shown[0]
     assert any("2 parts between restarts and steps, 2 alignments" in line for line in shown)
     assert main(shared) == 0

@@ -81,11 +81,11 @@ def test_a_conversion_by_half_is_named(name: str, conversion: str) -> None:
     pair = recording(name)
     of_positions, world, body, expected = TURNED[conversion]
     assert pair.estimate.quaternions is not None
-    turned = lie.multiply(lie.from_matrix(world), pair.estimate.quaternions)
+    rotated = lie.multiply(lie.from_matrix(world), pair.estimate.quaternions)
     named = causes(
         pair,
         positions=pair.estimate.positions @ of_positions.T,
-        quaternions=lie.multiply(turned, lie.from_matrix(body)),
+        quaternions=lie.multiply(rotated, lie.from_matrix(body)),
     )
     assert named[:1] in ([[]] if expected is None else [[expected], *UNDECIDED.get(name, [])])
 
@@ -136,8 +136,8 @@ def small_angles() -> tuple[Trajectory, Array]:
     time = np.arange(0.0, 60.0, 0.05)
     places = np.column_stack([2.0 * time, 4.0 * np.sin(0.3 * time), np.cos(0.5 * time)])
     angles = np.radians(5.0) * np.sin(np.outer(time, [0.7, 1.1, 0.4]))
-    turns = Rotation.from_euler("xyz", angles).as_quat()
-    return Trajectory.from_positions(places, turns, seconds=time), angles
+    rotations = Rotation.from_euler("xyz", angles).as_quat()
+    return Trajectory.from_positions(places, rotations, seconds=time), angles
 
 
 @pytest.mark.parametrize(
@@ -152,8 +152,8 @@ def small_angles() -> tuple[Trajectory, Array]:
 def test_small_angles_in_another_unit_are_named(factor: float, said: str | None) -> None:
     truth, angles = small_angles()
     noise = np.random.default_rng(7).normal(0.0, 0.01, truth.positions.shape)
-    turns = Rotation.from_euler("xyz", factor * angles).as_quat()
-    estimate = Trajectory.from_positions(truth.positions + noise, turns, stamps=truth.stamps)
+    rotations = Rotation.from_euler("xyz", factor * angles).as_quat()
+    estimate = Trajectory.from_positions(truth.positions + noise, rotations, stamps=truth.stamps)
     named = [
         warning
         for warning in evaluate(truth, estimate).warnings

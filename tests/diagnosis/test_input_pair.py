@@ -19,21 +19,21 @@ SECOND = 1_000_000_000
 def test_poses_are_sorted_and_the_first_of_equal_times_is_kept() -> None:
     seconds = np.array([1.0, 3.0, 2.0, 3.0, 1.0, 5.0])
     positions, quaternions, velocities = (np.outer(np.arange(6.0), np.ones(n)) for n in (3, 4, 3))
-    found = TimedPoses(seconds, positions, quaternions, velocities).in_order()
-    assert found.seconds.tolist() == [1.0, 2.0, 3.0, 5.0]
+    result = TimedPoses(seconds, positions, quaternions, velocities).in_order()
+    assert result.seconds.tolist() == [1.0, 2.0, 3.0, 5.0]
     rows = [0.0, 2.0, 1.0, 5.0]
-    assert found.quaternions is not None
-    assert found.velocities is not None
-    for item in (found.positions, found.quaternions, found.velocities):
+    assert result.quaternions is not None
+    assert result.velocities is not None
+    for item in (result.positions, result.quaternions, result.velocities):
         assert item[:, 0].tolist() == rows
-    assert found.in_order() is found
-    assert found.span_s == 4.0
-    assert found.usual_step_s == 1.0
-    deviation = np.linalg.norm(np.std(found.positions, axis=0))
-    assert found.extent == pytest.approx(deviation)
-    nothing = found[:0]
+    assert result.in_order() is result
+    assert result.span_s == 4.0
+    assert result.usual_step_s == 1.0
+    deviation = np.linalg.norm(np.std(result.positions, axis=0))
+    assert result.extent == pytest.approx(deviation)
+    nothing = result[:0]
     assert (nothing.span_s, nothing.extent, nothing.usual_step_s) == (0.0, 0.0, 1.0)
-    assert found[:1].usual_step_s == 1.0
+    assert result[:1].usual_step_s == 1.0
     np.testing.assert_allclose(lengths(positions), np.linalg.norm(positions, axis=1))
 
 
@@ -48,21 +48,21 @@ def test_a_clock_is_corrected_by_an_offset_and_a_rate_from_its_start() -> None:
 def test_poses_between_neighbours_are_interpolated() -> None:
     """Beyond the ends, the poses are those of the ends, and not known."""
     seconds = np.array([0.0, 1.0, 3.0, 4.0])
-    turned = Rotation.random(4, random_state=3)
+    rotated = Rotation.random(4, random_state=3)
     positions = np.random.default_rng(3).normal(size=(4, 3))
-    poses = TimedPoses(seconds, positions, turned.as_quat())
+    poses = TimedPoses(seconds, positions, rotated.as_quat())
     times = np.array([-0.1, 0.0, 0.4, 1.0, 2.5, 3.0, 4.0, 4.1])
     inside = np.clip(times, 0.0, 4.0)
     for max_gap_s, gap_is_known in ((2.0, True), (1.9, False), (np.inf, True)):
-        found = poses.at(times, max_gap_s)
-        assert not found.known[[0, 7]].any()
-        assert found.known[[1, 2, 6]].all()
-        assert found.known[4] == gap_is_known
+        result = poses.at(times, max_gap_s)
+        assert not result.known[[0, 7]].any()
+        assert result.known[[1, 2, 6]].all()
+        assert result.known[4] == gap_is_known
         for axis in range(3):
             expected = np.interp(inside, seconds, positions[:, axis])
-            np.testing.assert_allclose(found.positions[:, axis], expected, atol=1e-12)
-        assert found.quaternions is not None
-        apart = Slerp(seconds, turned)(inside).inv() * Rotation.from_quat(found.quaternions)
+            np.testing.assert_allclose(result.positions[:, axis], expected, atol=1e-12)
+        assert result.quaternions is not None
+        apart = Slerp(seconds, rotated)(inside).inv() * Rotation.from_quat(result.quaternions)
         assert apart.magnitude().max() < 1e-9
     assert TimedPoses(seconds, positions).at(times).quaternions is None
 
@@ -107,11 +107,11 @@ def test_frozen_poses_and_what_follows_a_divergence_are_left_out(
     begin, end = (int(item * SECOND) for item in (105, 109))
     loss = Loss(cause, ESTIMATE, begin, end, m=4.0, moved_m=9.0, is_over=is_over)
     pair = pair_of()
-    found = pair.tracked([loss])
-    assert found.poses["estimate"].seconds.tolist() == kept
-    assert found.poses["groundtruth"].seconds.tolist() == true_kept
-    assert ((found.estimate.stamps - 100 * SECOND) // SECOND).tolist() == kept
-    assert ((found.groundtruth.stamps - 100 * SECOND) // SECOND).tolist() == true_kept
+    result = pair.tracked([loss])
+    assert result.poses["estimate"].seconds.tolist() == kept
+    assert result.poses["groundtruth"].seconds.tolist() == true_kept
+    assert ((result.estimate.stamps - 100 * SECOND) // SECOND).tolist() == kept
+    assert ((result.groundtruth.stamps - 100 * SECOND) // SECOND).tolist() == true_kept
     assert pair.tracked([]).poses["estimate"].seconds.tolist() == [*range(1, 21)]
-    ordered = found.in_order
+    ordered = result.in_order
     assert [len(item) for item in ordered] == [len(true_kept), len(kept)]

@@ -191,8 +191,8 @@ def test_three_seconds_are_no_ground_for_a_name(name: str) -> None:
 
 
 def moved(trajectory: Trajectory) -> Trajectory:
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return dataclasses.replace(trajectory, positions=trajectory.positions @ turn.T + 7.0)
+    rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return dataclasses.replace(trajectory, positions=trajectory.positions @ rotation.T + 7.0)
 
 
 def test_another_run_is_told() -> None:

@@ -79,9 +79,9 @@ def test_poses_of_two_publishers_in_one_file_are_named() -> None:
     for added, is_named in ((other + 0.01 * noise, True), (2.0 * noise, False)):
         estimate = dataclasses.replace(ESTIMATE, positions=ESTIMATE.positions + added)
         remarks = remarks_on(evaluate(GROUNDTRUTH, estimate, protocol), Diagnosis((), ()))
-        said = [remark.text for remark in remarks if remark.code == "mixed_publishers"]
-        assert len(said) == is_named
-        assert all("messages of two publishers are probably mixed" in item for item in said)
+        text = [remark.text for remark in remarks if remark.code == "mixed_publishers"]
+        assert len(text) == is_named
+        assert all("messages of two publishers are probably mixed" in item for item in text)
 
 
 def test_a_two_dimensional_heading_has_no_tilt() -> None:
@@ -90,14 +90,14 @@ def test_a_two_dimensional_heading_has_no_tilt() -> None:
     )
     level = dataclasses.replace(ESTIMATE, quaternions=heading)
     protocol = Protocol(gauge="yaw", lengths=("5m",))
-    found = evaluate(GROUNDTRUTH, level, protocol)
-    assert found.ate["tilt_deg"] is None
-    assert found.ate["yaw_deg"] is not None
-    assert found.relative is not None
-    assert found.relative[0].statistics["tilt_deg"] is None
-    [said] = [warning for warning in found.warnings if "2-D headings" in warning]
-    assert said.startswith("the orientations of the estimate are 2-D headings")
-    assert "including tilt against 2-D headings" in verdict(found)[0]
+    result = evaluate(GROUNDTRUTH, level, protocol)
+    assert result.ate["tilt_deg"] is None
+    assert result.ate["yaw_deg"] is not None
+    assert result.relative is not None
+    assert result.relative[0].statistics["tilt_deg"] is None
+    [text] = [warning for warning in result.warnings if "2-D headings" in warning]
+    assert text.startswith("the orientations of the estimate are 2-D headings")
+    assert "including tilt against 2-D headings" in verdict(result)[0]
     assert evaluate(level, level, protocol).ate["tilt_deg"] is not None
     # A robot on a floor has no tilt: that of its estimate is an error.
     assert evaluate(level, ESTIMATE, protocol).ate["tilt_deg"] is not None
@@ -108,45 +108,45 @@ def test_drift_is_withheld_with_rotations() -> None:
     estimate = ESTIMATE
     assert estimate.quaternions is not None
     other = lie.from_rotation_vector(np.array([0.0, 0.0, 1.2]))
-    turned = dataclasses.replace(
+    rotated = dataclasses.replace(
         estimate, quaternions=lie.multiply(estimate.quaternions, other[None])
     )
-    for evaluated, withheld in ((turned, True), (estimate, False)):
+    for evaluated, withheld in ((rotated, True), (estimate, False)):
         protocol = Protocol(gauge="se3", lengths=("5m",))
-        found = evaluate(GROUNDTRUTH, evaluated, protocol)
-        assert bool(found.withheld) == withheld
-        assert (found.drift is None) == withheld
-        assert ("rotation and drift withheld" in verdict(found)[0]) == withheld
-        assert (", drift " in verdict(found)[0]) != withheld
+        result = evaluate(GROUNDTRUTH, evaluated, protocol)
+        assert bool(result.withheld) == withheld
+        assert (result.drift is None) == withheld
+        assert ("rotation and drift withheld" in verdict(result)[0]) == withheld
+        assert (", drift " in verdict(result)[0]) != withheld
 
 
 @pytest.mark.parametrize("method", ["nearest", "evo"])
 def test_points_have_no_coverage_of_poses(method: str) -> None:
     points = points_of(8)
     rule = AssociationRule(method, max_time_difference_s=0.1)
-    found = evaluate(points, ESTIMATE, Protocol(association=rule, lengths=()))
+    result = evaluate(points, ESTIMATE, Protocol(association=rule, lengths=()))
     assert points.kind == "points"
-    assert found.association.estimate_coverage is None
-    assert found.association.groundtruth_coverage == 1.0
-    assert not found.association.dropped
-    assert any("8 of 8 points (100 %)" in line for line in verdict(found))
+    assert result.association.estimate_coverage is None
+    assert result.association.groundtruth_coverage == 1.0
+    assert not result.association.dropped
+    assert any("8 of 8 points (100 %)" in line for line in verdict(result))
     rule = AssociationRule(method, max_time_difference_s=1e-4)
     moved = dataclasses.replace(points, stamps=points.stamps + np.arange(8) % 2 * 2_000_000)
-    found = evaluate(moved, ESTIMATE, Protocol(association=rule, lengths=(), gauge="none"))
-    assert found.association.dropped == {"no_estimate_within_max_time_difference": 4}
-    assert found.association.groundtruth_coverage == 0.5
+    result = evaluate(moved, ESTIMATE, Protocol(association=rule, lengths=(), gauge="none"))
+    assert result.association.dropped == {"no_estimate_within_max_time_difference": 4}
+    assert result.association.groundtruth_coverage == 0.5
 
 
 def test_advice_for_points_that_are_all_paired_is_to_survey_more() -> None:
     points = points_of(5)
     rule = AssociationRule("nearest", max_time_difference_s=0.1)
     protocol = Protocol(association=rule, lengths=())
-    found = evaluate(points, ESTIMATE, protocol)
-    examined = number_of_pairs(protocol, found.association, points, ESTIMATE)
-    said = Finding.of(examined.seen[0]).text
-    assert said.endswith("; survey more points")
-    assert "limit" not in said
-    assert "--max" not in said
+    result = evaluate(points, ESTIMATE, protocol)
+    examined = number_of_pairs(protocol, result.association, points, ESTIMATE)
+    text = Finding.of(examined.seen[0]).text
+    assert text.endswith("; survey more points")
+    assert "limit" not in text
+    assert "--max" not in text
     few = evaluate(GROUNDTRUTH[:500:100], ESTIMATE, protocol)
     examined = number_of_pairs(protocol, few.association, few.groundtruth, few.estimate)
     assert "--max-time-difference" in Finding.of(examined.seen[0]).text
@@ -163,9 +163,9 @@ def test_points_have_the_hint_of_a_lever_arm_until_it_is_known() -> None:
     ):
         request = Request(Protocol(lengths=(), **settings))
         remarks = run(truth, [estimate], request).runs[0].evaluation.remarks
-        said = [remark.text for remark in remarks if remark.code == "lever_arm_not_given"]
-        assert len(said) == is_said
-        assert all("give the lever arm with --lever-arm" in item for item in said)
+        text = [remark.text for remark in remarks if remark.code == "lever_arm_not_given"]
+        assert len(text) == is_said
+        assert all("give the lever arm with --lever-arm" in item for item in text)
 
 
 def test_a_prism_on_a_pole_has_the_hint_of_a_lever_arm(

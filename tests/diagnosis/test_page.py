@@ -130,10 +130,10 @@ def test_the_table_of_causes_is_generated() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", CAUSES)
 def test_a_message_states_what_is_wrong_and_what_to_do(cause: str) -> None:
-    said, _, advice = printed(cause).rpartition("; ")
-    assert len(said) > 20
+    text, _, advice = printed(cause).rpartition("; ")
+    assert len(text) > 20
     assert len(advice) > 10
-    assert "{" not in said + advice
+    assert "{" not in text + advice
 
 
 def test_the_examples_are_as_they_are_printed() -> None:

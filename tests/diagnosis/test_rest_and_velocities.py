@@ -67,12 +67,12 @@ def test_velocities_of_the_body_are_told_by_their_difference_from_the_positions(
     count: int, step_s: float, angle_deg: float, factor: float, *, is_seen: bool
 ) -> None:
     seconds = step_s * np.arange(count)
-    turned = Rotation.from_rotvec(np.radians([[0.0, 0.0, angle_deg]] * count))
+    rotated = Rotation.from_rotvec(np.radians([[0.0, 0.0, angle_deg]] * count))
     velocity = np.array([2.0, 0.0, 0.0])
     positions = np.outer(seconds, velocity)
-    body = turned.inv().apply(np.tile(velocity, (count, 1))) * factor
-    poses = TimedPoses(seconds, positions, turned.as_quat(), body)
-    without = TimedPoses(seconds, positions, turned.as_quat())
+    body = rotated.inv().apply(np.tile(velocity, (count, 1))) * factor
+    poses = TimedPoses(seconds, positions, rotated.as_quat(), body)
+    without = TimedPoses(seconds, positions, rotated.as_quat())
     for side, sides in (("estimate", (without, poses)), ("groundtruth", (poses, without))):
         result = velocities(*sides)
         assert [item.cause for item in result.seen] == ["twist_body"] * is_seen

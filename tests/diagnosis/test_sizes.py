@@ -27,9 +27,11 @@ def findings(pair: Pair, estimate: Trajectory, gauge: Gauge | None = None) -> li
 
 def rotated(estimate: Trajectory, world: Rotation, body: Rotation) -> Trajectory:
     assert estimate.quaternions is not None
-    turned = lie.multiply(lie.multiply(world.as_quat(), estimate.quaternions), body.as_quat())
+    rotated_copy = lie.multiply(
+        lie.multiply(world.as_quat(), estimate.quaternions), body.as_quat()
+    )
     return dataclasses.replace(
-        estimate, positions=world.apply(estimate.positions), quaternions=turned
+        estimate, positions=world.apply(estimate.positions), quaternions=rotated_copy
     )
 
 

@@ -146,9 +146,9 @@ def test_roll_and_pitch_of_a_vehicle_are_compared() -> None:
     for kind, seed in (("car", 9711), ("car", 5004), ("robot", 9706), ("robot", 9716)):
         right = simulated(seed, kind, "walk", 100.0)
         assert not found(right).findings
-        [said] = found(USERS["roll and pitch swapped"].make(right)).findings
-        assert said.cause == "rotations"
-        assert not said.correction
+        [text] = found(USERS["roll and pitch swapped"].make(right)).findings
+        assert text.cause == "rotations"
+        assert not text.correction
 
 
 def test_a_constant_turn_rate_does_not_correlate_and_is_no_other_rotation() -> None:
@@ -160,9 +160,9 @@ def test_a_constant_turn_rate_does_not_correlate_and_is_no_other_rotation() -> N
         noise = np.random.default_rng(seed).normal(scale=0.01, size=(len(times), 3))
         half = 0.1 * times + angle
         zero = np.zeros_like(half)
-        turned = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
+        rotated = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
         stamps = np.rint(1e9 * times).astype(np.int64)
-        sides.append(Trajectory.from_columns(stamps, np.column_stack(path) + noise, turned))
+        sides.append(Trajectory.from_columns(stamps, np.column_stack(path) + noise, rotated))
     causes = [finding.cause for finding in found(Pair("marker", sides[0], sides[1])).findings]
     assert causes == ["body"]
 
@@ -187,9 +187,9 @@ def test_gravity_selects_axes_that_a_plane_does_not_show(seed: int, kind: str) -
 def test_two_conventions_that_do_not_reduce_the_error_are_not_named(mistake: str) -> None:
     """In a plane, they can imitate other angles; the compass with another body in addition."""
     robot = simulated(20277, "robot", "walk", 100.0)
-    [said] = found(USERS[mistake].make(robot)).findings
-    assert said.cause == "rotations"
-    assert not said.correction
+    [text] = found(USERS[mistake].make(robot)).findings
+    assert text.cause == "rotations"
+    assert not text.correction
 
 
 def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
@@ -206,8 +206,8 @@ def test_jumps_of_wrong_rotations_are_no_restart() -> None:
     down = lie.from_rotation_vector(np.radians([0.0, 80.0, 0.0]))
     pair = DRONE
     for side in ("truth", "estimate"):
-        turned = lie.multiply(quaternions_of(getattr(DRONE, side)), down)
-        pair = change(pair, side, quaternions=turned)
+        rotated = lie.multiply(quaternions_of(getattr(DRONE, side)), down)
+        pair = change(pair, side, quaternions=rotated)
     wrong = USERS["Euler order"].make(pair)
     remarks = (
         run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0].evaluation.remarks
@@ -235,16 +235,16 @@ def test_rotations_of_a_body_that_turns_slowly_are_compared(mistake: str) -> Non
         )
         for side, item in (("truth", wrong.truth), ("estimate", wrong.estimate))
     }
-    [said] = found(dataclasses.replace(wrong, **sides, max_gap_s=1.0)).findings
-    assert said.cause == "rotations"
+    [text] = found(dataclasses.replace(wrong, **sides, max_gap_s=1.0)).findings
+    assert text.cause == "rotations"
 
 
 def test_a_convention_that_leaves_other_tilts_is_not_advised() -> None:
     """Inverse rotations have a compass's heading in a plane, and other roll and pitch."""
     pair = simulated(31004, "car", "walk", 100.0)
-    [said] = found(USERS["compass heading"].make(pair)).findings
-    assert said.cause == "rotations"
-    assert not said.correction
+    [text] = found(USERS["compass heading"].make(pair)).findings
+    assert text.cause == "rotations"
+    assert not text.correction
 
 
 def test_rotations_that_differ_too_much_are_no_other_body() -> None:

@@ -33,7 +33,7 @@ ALIGNED = {
 
 def evo_numbers() -> list[tuple[str, str, float]]:
     """Return pair, alignment and the position RMSE that evo_ape printed."""
-    found = []
+    result = []
     for reference in REFERENCES["references"]:
         call = re.sub(r"^.*?\.txt \S+", "", reference["call"])
         options = re.sub(r" (-r \w+|--\w*results.*|--no_warnings)", "", call)
@@ -52,8 +52,8 @@ def evo_numbers() -> list[tuple[str, str, float]]:
         ):
             rmse = reference["results"].get("trans_part", {}).get("rmse")
             if rmse:
-                found.append((reference["pair"], ALIGNED[options], rmse))
-    return found
+                result.append((reference["pair"], ALIGNED[options], rmse))
+    return result
 
 
 @pytest.mark.parametrize(("pair", "alignment", "rmse"), evo_numbers())
@@ -67,28 +67,30 @@ def test_numbers_of_evo_are_found_to_all_digits(pair: str, alignment: str, rmse:
 def test_a_number_of_five_digits_is_named(alignment: str) -> None:
     places, numbers = values("handheld_gaps")
     place = places[Definition("evo", alignment, "position_m", "rmse")]
-    found = explain([(*sides("handheld_gaps"), [f"{numbers[place]:.5g}"])], "m")
-    assert found.verdict == "named"
-    assert found.matches[0].definitions[0][1:4] == (alignment, "position_m", "rmse")
-    assert found.matches[0].values == ((numbers[place],),)
-    assert "evo" in found.matches[0].associations
+    result = explain([(*sides("handheld_gaps"), [f"{numbers[place]:.5g}"])], "m")
+    assert result.verdict == "named"
+    assert result.matches[0].definitions[0][1:4] == (alignment, "position_m", "rmse")
+    assert result.matches[0].values == ((numbers[place],),)
+    assert "evo" in result.matches[0].associations
 
 
 def test_a_number_without_a_definition_has_none_and_the_nearest() -> None:
     places, numbers = values("drone_loop")
     rmse = numbers[places[Definition("evo", "se3", "position_m", "rmse")]]
-    found = explain([(*sides("drone_loop"), [f"{1.00003 * rmse:.7f}"])], "m")
-    assert (found.verdict, found.matches, found.matching) == ("none", (), 0)
-    assert found.none_probability == 1.0
-    assert any(item.definitions[0][1:4] == ("se3", "position_m", "rmse") for item in found.nearest)
+    result = explain([(*sides("drone_loop"), [f"{1.00003 * rmse:.7f}"])], "m")
+    assert (result.verdict, result.matches, result.matching) == ("none", (), 0)
+    assert result.none_probability == 1.0
+    assert any(
+        item.definitions[0][1:4] == ("se3", "position_m", "rmse") for item in result.nearest
+    )
 
 
 def test_a_single_digit_is_not_named() -> None:
     places, numbers = values("drone_loop")
     rmse = numbers[places[Definition("evo", "se3", "position_m", "rmse")]]
-    found = explain([(*sides("drone_loop"), [f"{rmse:.1g}"])], "m")
-    assert found.verdict in ("possible", "chance")
-    assert found.matching > 3
+    result = explain([(*sides("drone_loop"), [f"{rmse:.1g}"])], "m")
+    assert result.verdict in ("possible", "chance")
+    assert result.matching > 3
 
 
 def test_two_numbers_of_a_row_have_one_alignment() -> None:
@@ -115,10 +117,10 @@ def test_several_runs_need_fewer_digits() -> None:
     pairs = ("drone_loop", "handheld_gaps", "slow_gt")
     definition = Definition("rpg", "yaw", "position_m", "rmse")
     texts = [f"{values(pair)[1][values(pair)[0][definition]]:.2g}" for pair in pairs]
-    found = explain([(*sides(p), [t]) for p, t in zip(pairs, texts, strict=True)], "m")
-    assert found.matches[0].definitions[0][1:4] == definition[1:4]
+    result = explain([(*sides(p), [t]) for p, t in zip(pairs, texts, strict=True)], "m")
+    assert result.matches[0].definitions[0][1:4] == definition[1:4]
     single = [explain([(*sides(p), [t])], "m") for p, t in zip(pairs, texts, strict=True)]
-    assert found.expected < 0.1 * min(item.expected for item in single)
+    assert result.expected < 0.1 * min(item.expected for item in single)
 
 
 def test_unrelated_numbers_match_as_often_as_expected() -> None:
@@ -126,9 +128,9 @@ def test_unrelated_numbers_match_as_often_as_expected() -> None:
     rng = np.random.default_rng(7)
     middle, counts, expected = 0.3, [], []
     for value in middle * np.exp(rng.uniform(-math.log(2.0), math.log(2.0), 60)):
-        found = explain_cached("drone_loop", f"{value:.3f}")
-        counts.append(found.matching)
-        expected.append(found.expected)
+        result = explain_cached("drone_loop", f"{value:.3f}")
+        counts.append(result.matching)
+        expected.append(result.expected)
     # The mean of 60 counts with a variance of about twice their mean.
     deviation = math.sqrt(2.0 * np.mean(expected) / len(counts))
     assert abs(np.mean(counts) - np.mean(expected)) < 4.0 * deviation
@@ -218,8 +220,8 @@ def test_sides_without_pairs_are_refused() -> None:
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_every_unit_selects_definitions(unit: str) -> None:
-    found = explain_unit("car_kitti", f"1.0{unit}")
-    assert found.searched > 0
+    result = explain_unit("car_kitti", f"1.0{unit}")
+    assert result.searched > 0
 
 
 def explain_unit(pair: str, number: str) -> Explanation:
@@ -248,10 +250,10 @@ def test_two_digits_of_three_sequences_name_the_definition(
         )
         for pair in pairs
     ]
-    found = explain(runs, "m")
-    assert found.matches[0].definitions[0][1:4] == (alignment, "position_m", "rmse")
-    assert "rpg" in found.matches[0].associations
-    assert found.expected < 0.1
+    result = explain(runs, "m")
+    assert result.matches[0].definitions[0][1:4] == (alignment, "position_m", "rmse")
+    assert "rpg" in result.matches[0].associations
+    assert result.expected < 0.1
 
 
 # Names of the reference: of alignments and of errors.
@@ -270,19 +272,19 @@ def is_of(case: list[str], definition: Definition) -> bool:
     """Return whether a definition is that of a case, but for the association."""
     _, alignment, error, statistic = case
     _, *words = error.split()
-    found = (definition.alignment, definition.metric, definition.statistic, definition.form)
+    result = (definition.alignment, definition.metric, definition.statistic, definition.form)
     alignment = _ALIGNED.get(alignment, alignment)
     if not error.startswith("RE "):
         of_path = error == "position % of path"
         metric, form = ("position_m", "in % of the path") if of_path else (error, "")
-        return not definition.family and found == (alignment, metric, statistic, form)
+        return not definition.family and result == (alignment, metric, statistic, form)
     length, *pairs, unit = words
     metric = _METRICS[f"gravity {unit}" if pairs == ["gravity"] else unit]
     length = "pooled" if pairs == ["pooled"] else length
     is_all = definition.family == "evo, all pairs"
     return (
         definition.length == length
-        and found == (alignment, metric, statistic, "")
+        and result == (alignment, metric, statistic, "")
         and is_all == (pairs == ["all"])
     )
 
@@ -295,13 +297,13 @@ def judged(
     trajectory = sides("five_poses")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("trajeval_ros.explanation.explain.values_of", lambda *_: next(left))
-        found = explain([(*trajectory, [number]) for number in case["numbers"]], case["unit"])
-    if not found.matches or case["definition"] is None:
-        return found.verdict, False
-    (first,) = found.matches[0].values
+        result = explain([(*trajectory, [number]) for number in case["numbers"]], case["unit"])
+    if not result.matches or case["definition"] is None:
+        return result.verdict, False
+    (first,) = result.matches[0].values
     right = [definition for definition in tables[0][0] if is_of(case["definition"], definition)]
     assert right, case["definition"]
-    return found.verdict, any(
+    return result.verdict, any(
         all(
             definition in places and numbers[places[definition]] == pytest.approx(value, rel=1e-6)
             for (places, numbers), value in zip(tables, first, strict=True)
@@ -374,10 +376,10 @@ def test_one_wrong_number_of_four_is_named_with_the_definition(wrong: int | None
         rmse = numbers[places[Definition("evo", "se3", "position_m", "rmse")]]
         factor = 1.37 if number == wrong else 1.0
         runs.append((*sides(pair), [f"{factor * rmse:.4g}"]))
-    found = explain(runs, "m")
-    assert (found.verdict, found.disagreeing) == ("named", wrong)
-    assert found.matches[0].definitions[0][1:4] == ("se3", "position_m", "rmse")
-    assert len(found.matches[0].values[0]) == len(runs)
+    result = explain(runs, "m")
+    assert (result.verdict, result.disagreeing) == ("named", wrong)
+    assert result.matches[0].definitions[0][1:4] == ("se3", "position_m", "rmse")
+    assert len(result.matches[0].values[0]) == len(runs)
     if wrong is not None:
         three = [run for number, run in enumerate(runs) if number != (wrong + 1) % 4]
         assert explain(three, "m").verdict == "none"

@@ -19,9 +19,9 @@ SECOND = 1_000_000_000
 
 def test_seconds_become_nanoseconds_exactly() -> None:
     seconds = [1_700_000_000.25, -0.5, 0.1, 2.0000000004]
-    found = array_input.stamps_of(seconds, None, 4)
-    assert found is not None
-    assert found.tolist() == [1_700_000_000_250_000_000, -500_000_000, 100_000_000, 2 * SECOND]
+    result = array_input.stamps_of(seconds, None, 4)
+    assert result is not None
+    assert result.tolist() == [1_700_000_000_250_000_000, -500_000_000, 100_000_000, 2 * SECOND]
     assert array_input.stamps_of([9.2e9], None, 1) is not None
     with pytest.raises(InputError, match="probably milliseconds"):
         array_input.stamps_of([9.3e9], None, 1)
@@ -71,11 +71,11 @@ def test_matrices_that_are_no_poses() -> None:
     last[0] = np.nan  # rows of NaN are left, and counted
     with pytest.raises(InputError, match="matrix 1 has the last row"):
         array_input.require_poses(last)
-    turns = Rotation.random(5, random_state=0).as_matrix()
-    rough = turns.copy()
+    rotations = Rotation.random(5, random_state=0).as_matrix()
+    rough = rotations.copy()
     rough += 1e-5 * np.random.default_rng(0).normal(size=(5, 3, 3))
-    found = Rotation.from_quat(array_input.quaternions_of(rough)).as_matrix()
-    np.testing.assert_allclose(found, turns, atol=1e-4)
+    result = Rotation.from_quat(array_input.quaternions_of(rough)).as_matrix()
+    np.testing.assert_allclose(result, rotations, atol=1e-4)
     rough[3], rough[4] = np.nan, -rough[4]
     assert np.isnan(array_input.quaternions_of(rough)).all(axis=1).tolist() == [
         False, False, False, True, True

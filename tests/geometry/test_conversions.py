@@ -56,13 +56,13 @@ class Table:
 
 def test_tables_have_times_in_a_column_or_the_index() -> None:
     places = {"X": [1.0, 2.0], "y": [3.0, 4.0], "Z": [5.0, 6.0]}
-    turns = {name: [0.0, 0.0] for name in ("qx", "qy", "qz")} | {"qw": [1.0, 1.0]}
+    rotations = {name: [0.0, 0.0] for name in ("qx", "qy", "qz")} | {"qw": [1.0, 1.0]}
     ordinal = np.arange(2)
     result = array_input.columns_of_frame(Table(places, ordinal))
     np.testing.assert_array_equal(result["positions"], [[1, 3, 5], [2, 4, 6]])
     assert result["quaternions"] is None
     assert {"stamps", "seconds"} & result.keys() == set()
-    result = array_input.columns_of_frame(Table({**places, **turns}, ordinal + 10**13))
+    result = array_input.columns_of_frame(Table({**places, **rotations}, ordinal + 10**13))
     np.testing.assert_array_equal(result["quaternions"], [IDENTITY, IDENTITY])
     assert result["stamps"].tolist() == [10**13, 10**13 + 1]
     assert "stamps" not in array_input.columns_of_frame(Table(places, ordinal + 10**12 - 1))
@@ -75,9 +75,9 @@ def test_tables_have_times_in_a_column_or_the_index() -> None:
     assert result["stamps"].tolist() == [SECOND, 2 * SECOND]
     with pytest.raises(InputError, match="name the positions x, y and z"):
         array_input.columns_of_frame(Table({"x": [1.0], "y": [2.0]}, ordinal))
-    del turns["qw"]
+    del rotations["qw"]
     with pytest.raises(InputError, match="only qx, qy, qz of"):
-        array_input.columns_of_frame(Table({**places, **turns}, ordinal))
+        array_input.columns_of_frame(Table({**places, **rotations}, ordinal))
 
 
 def test_units_scale_positions_velocities_and_covariances() -> None:
@@ -111,10 +111,10 @@ def test_axes_of_positions_and_rotations(axes: str, of: str) -> None:
     assert result.velocities is not None
     assert truth.velocities is not None
     np.testing.assert_allclose(result.velocities, truth.velocities @ moved.T)
-    turned = np.eye(3) if of == "positions=" else matrix
-    expected = turned @ matrices_of(truth)
+    rotated = np.eye(3) if of == "positions=" else matrix
+    expected = rotated @ matrices_of(truth)
     if flipped and of != "positions=":
-        expected = expected @ turned.T
+        expected = expected @ rotated.T
     np.testing.assert_allclose(matrices_of(result), expected, atol=1e-14)
     assert result.covariances is None
 
@@ -199,8 +199,8 @@ def test_projections_keep_the_turn_about_the_normal(plane: str, normal: int) -> 
     assert not result.velocities[:, normal].any()
     angles = np.linspace(-3.0, 3.0, 6)
     axis = np.eye(3)[normal]
-    turns = Rotation.from_rotvec(np.outer(angles, axis)).as_quat()
-    flat = flattened(dataclasses.replace(truth, quaternions=turns), plane)
+    rotations = Rotation.from_rotvec(np.outer(angles, axis)).as_quat()
+    flat = flattened(dataclasses.replace(truth, quaternions=rotations), plane)
     assert flat.quaternions is not None
     np.testing.assert_allclose(lie.rotation_vector(flat.quaternions) @ axis, angles, atol=1e-12)
 
@@ -241,6 +241,6 @@ def test_axes_of_bodies_and_worlds() -> None:
     with pytest.raises(InputError, match="no orientations"):
         with_body_axes(dataclasses.replace(truth, quaternions=None), "ros")
     files = SourceInfo(matrices=matrices_of(truth))
-    turned = upright(dataclasses.replace(truth, up=UpAxis("-y"), reading=files))
-    assert turned.reading.matrices is not None
-    np.testing.assert_allclose(turned.reading.matrices, matrices_of(turned), atol=1e-14)
+    rotated = upright(dataclasses.replace(truth, up=UpAxis("-y"), reading=files))
+    assert rotated.reading.matrices is not None
+    np.testing.assert_allclose(rotated.reading.matrices, matrices_of(rotated), atol=1e-14)

@@ -146,8 +146,8 @@ def test_the_motion_filter_is_its_definition(seed: int, distance: float, angle: 
     kept = [0]
     for row in range(1, len(truth)):
         moved = np.linalg.norm(truth.positions[row] - truth.positions[kept[-1]])
-        turned = (rotations[kept[-1]].inv() * rotations[row]).magnitude()
-        if moved >= distance or turned >= angle:
+        rotated = (rotations[kept[-1]].inv() * rotations[row]).magnitude()
+        if moved >= distance or rotated >= angle:
             kept.append(row)
     assert by_motion(truth, distance, angle).tolist() == kept
 
@@ -156,8 +156,8 @@ def test_the_motion_filter_is_its_definition(seed: int, distance: float, angle: 
 def test_axes_there_and_back(seed: int, axes: str) -> None:
     truth = make_groundtruth(seed)
     other = AXES[1 - AXES.index(axes)]
-    for turn in (with_world_axes, with_body_axes):
-        back = turn(turn(truth, other), axes)
+    for rotation in (with_world_axes, with_body_axes):
+        back = rotation(rotation(truth, other), axes)
         np.testing.assert_array_equal(back.positions, truth.positions)
         np.testing.assert_array_equal(back.velocities, truth.velocities)
         assert apart_rad(back, truth) <= SAME_ROTATION_RAD
@@ -180,8 +180,8 @@ def test_a_camera_that_drives_ahead() -> None:
 
 def transformation(seed: int, scale: float = 1.0) -> Similarity:
     random = np.random.default_rng(seed)
-    turn = Rotation.random(random_state=seed % 2**31).as_matrix()
-    return Similarity(turn, random.normal(size=3), scale)
+    rotation = Rotation.random(random_state=seed % 2**31).as_matrix()
+    return Similarity(rotation, random.normal(size=3), scale)
 
 
 @given(seeds)
@@ -191,13 +191,13 @@ def test_transformations_are_products_of_matrices(seed: int) -> None:
         transformation(seed, 1.7),
         transformation(seed + 1),
     )
-    found = the_only(truth, Editing(left=left, right=right)).trajectory
-    turns = lie.to_matrix(np.asarray(truth.quaternions))
-    moved = truth.positions + turns @ right.translation
-    np.testing.assert_allclose(found.positions, left.positions(moved), rtol=0, atol=1e-12)
-    expected = left.rotation @ turns @ right.rotation
+    result = the_only(truth, Editing(left=left, right=right)).trajectory
+    rotations = lie.to_matrix(np.asarray(truth.quaternions))
+    moved = truth.positions + rotations @ right.translation
+    np.testing.assert_allclose(result.positions, left.positions(moved), rtol=0, atol=1e-12)
+    expected = left.rotation @ rotations @ right.rotation
     np.testing.assert_allclose(
-        lie.to_matrix(np.asarray(found.quaternions)), expected, rtol=0, atol=1e-13
+        lie.to_matrix(np.asarray(result.quaternions)), expected, rtol=0, atol=1e-13
     )
 
 
@@ -206,8 +206,8 @@ def test_a_projection_is_flat_and_one(seed: int, plane: str) -> None:
     flat = flattened(make_groundtruth(seed), plane)
     normal = np.eye(3)[PLANES[plane]]
     assert not (flat.positions @ normal).any()
-    turned = lie.to_matrix(np.asarray(flat.quaternions)) @ normal
-    np.testing.assert_allclose(turned, np.tile(normal, (len(flat), 1)), atol=1e-15)
+    rotated = lie.to_matrix(np.asarray(flat.quaternions)) @ normal
+    np.testing.assert_allclose(rotated, np.tile(normal, (len(flat), 1)), atol=1e-15)
     again = flattened(flat, plane)
     np.testing.assert_array_equal(again.positions, flat.positions)
     assert apart_rad(again, flat) <= SAME_ROTATION_RAD
@@ -218,26 +218,26 @@ def test_aligned_and_synchronised_as_an_evaluation_is(gauge: Gauge) -> None:
     truth = make_groundtruth(5)
     estimate = transformation(3).trajectory(make_estimate(truth, 6))
     protocol = Protocol(gauge=gauge)
-    found = the_only(
+    result = the_only(
         estimate, Editing(align=protocol, synchronise=protocol.association), named(truth, "gt")
     )
     expected = evaluate(truth, estimate, protocol)
     axes = 2 if gauge is Gauge.PLANAR else 3
     np.testing.assert_allclose(
-        found.trajectory.positions[:, :axes], expected.aligned.positions[:, :axes], atol=1e-9
+        result.trajectory.positions[:, :axes], expected.aligned.positions[:, :axes], atol=1e-9
     )
-    assert found.reference is not None
-    np.testing.assert_array_equal(found.reference.stamps, expected.association.groundtruth.stamps)
-    np.testing.assert_array_equal(found.trajectory.stamps, found.reference.stamps)
+    assert result.reference is not None
+    np.testing.assert_array_equal(result.reference.stamps, expected.association.groundtruth.stamps)
+    np.testing.assert_array_equal(result.trajectory.stamps, result.reference.stamps)
 
 
 def test_thinning_keeps_rows_together() -> None:
     truth = make_groundtruth(5)
     editing = Editing(synchronise=AssociationRule(), motion=(0.5, 0.2), poses=7)
-    found = the_only(make_estimate(truth, 6), editing, named(truth, "gt"))
-    assert found.reference is not None
-    np.testing.assert_array_equal(found.trajectory.stamps, found.reference.stamps)
-    assert len(found.trajectory) == 7
+    result = the_only(make_estimate(truth, 6), editing, named(truth, "gt"))
+    assert result.reference is not None
+    np.testing.assert_array_equal(result.trajectory.stamps, result.reference.stamps)
+    assert len(result.trajectory) == 7
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,8 @@ def integral(matrix: Array) -> Array:
 
 def twist_matrix(twist: Array) -> Array:
     """Return ad of a twist (6,), (6, 6)."""
-    turn, shift = so3.skew(twist[3:]), so3.skew(twist[:3])
-    return np.block([[turn, shift], [np.zeros((3, 3)), turn]])
+    rotation, shift = so3.skew(twist[3:]), so3.skew(twist[:3])
+    return np.block([[rotation, shift], [np.zeros((3, 3)), rotation]])
 
 
 @pytest.mark.parametrize("angle", ANGLES)
@@ -109,9 +109,9 @@ def test_congruence_is_symmetric() -> None:
 @settings(max_examples=10)
 def test_covariances_in_other_axes_are_those_of_turned_errors(seed: int) -> None:
     generator = np.random.default_rng(seed)
-    turn = Rotation.from_rotvec(generator.normal(size=3)).as_matrix()
+    rotation = Rotation.from_rotvec(generator.normal(size=3)).as_matrix()
     root = generator.normal(size=(6, 6))
-    covariance, rotations = (root @ root.T)[None], turn[None]
+    covariance, rotations = (root @ root.T)[None], rotation[None]
 
     def moved(first: Array, second: Array) -> Array:
         errors = np.concatenate([first @ root[:3], second @ root[3:]])
@@ -119,19 +119,19 @@ def test_covariances_in_other_axes_are_those_of_turned_errors(seed: int) -> None
 
     unmoved = np.eye(3)
     twists = covariance_frames.world_from_body_twists(covariance, rotations)
-    np.testing.assert_allclose(twists[0], moved(turn, turn), atol=1e-12)
+    np.testing.assert_allclose(twists[0], moved(rotation, rotation), atol=1e-12)
     only = covariance_frames.world_from_body_rotations(covariance, rotations)
-    np.testing.assert_allclose(only[0], moved(unmoved, turn), atol=1e-12)
+    np.testing.assert_allclose(only[0], moved(unmoved, rotation), atol=1e-12)
     places = covariance_frames.body_from_world_positions(covariance[:, :3, :3], rotations)
-    np.testing.assert_allclose(places[0], moved(turn.T, unmoved)[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(places[0], moved(rotation.T, unmoved)[:3, :3], atol=1e-12)
     size = 8
     large = generator.normal(size=(2 * size, 2 * size))
-    both = np.stack([turn, turn.T])
+    both = np.stack([rotation, rotation.T])
     result, information = covariance_frames.world_from_body_rotations_jointly(
         large @ large.T, csr_matrix(large @ large.T), both, size
     )
     change = np.eye(2 * size)
-    change[3:6, 3:6], change[11:14, 11:14] = turn, turn.T
+    change[3:6, 3:6], change[11:14, 11:14] = rotation, rotation.T
     expected = change @ large @ large.T @ change.T
     assert result is not None
     assert information is not None
@@ -165,9 +165,9 @@ def test_covariances_of_preintegration_are_those_of_noisy_samples(scheme: str) -
                     )
                     for sign in (1.0, -1.0)
                 )
-                turn = so3.log(se3.transposed(behind.rotations) @ ahead.rotations)
+                rotation = so3.log(se3.transposed(behind.rotations) @ ahead.rotations)
                 moved = [ahead.velocities - behind.velocities, ahead.positions - behind.positions]
-                change[:, :, axis] = np.concatenate([turn, *moved], axis=1) / 2e-6
+                change[:, :, axis] = np.concatenate([rotation, *moved], axis=1) / 2e-6
             for interval in range(2):
                 if steps[interval, sample] > 0.0:
                     variance = density**2 / steps[interval, sample]
@@ -200,11 +200,11 @@ def test_a_marker_of_an_estimate_in_other_units() -> None:
     assert moved.child_frame == "marker"
     np.testing.assert_array_equal(moved.quaternions, estimate.quaternions)
     body = hand_eye.of_body(estimate, "body")
-    turned = estimate.rotations * Rotation.from_quat(hand_eye.rotation_xyzw).inv()
+    rotated = estimate.rotations * Rotation.from_quat(hand_eye.rotation_xyzw).inv()
     assert body.rotations is not None
-    assert (turned.inv() * body.rotations).magnitude().max() < 1e-14
+    assert (rotated.inv() * body.rotations).magnitude().max() < 1e-14
     np.testing.assert_allclose(
-        body.positions + turned.apply(hand_eye.lever_m), estimate.positions, atol=1e-12
+        body.positions + rotated.apply(hand_eye.lever_m), estimate.positions, atol=1e-12
     )
     assert body.gyroscope_biases is not None
     assert estimate.gyroscope_biases is not None
@@ -225,12 +225,12 @@ def test_orbits_are_derivatives_of_moved_poses(gauge: Gauge, size: int) -> None:
     assert basis.shape == (4, 6, size)
     axes = {0: 0, 4: 1}.get(size, 3)
     for column, step in enumerate(1e-6 * np.eye(size)):
-        turn = np.zeros(3)
-        turn[3 - axes :] = step[:axes]
+        rotation = np.zeros(3)
+        rotation[3 - axes :] = step[:axes]
         shift = step[axes : axes + 3]
         scale = 1.0 + (step[-1] if gauge is Gauge.SIM3 else 0.0)
-        moved = scale * positions @ so3.exp(turn).T + shift
-        change = np.concatenate([moved - positions, np.tile(turn, (4, 1))], axis=1) / 1e-6
+        moved = scale * positions @ so3.exp(rotation).T + shift
+        change = np.concatenate([moved - positions, np.tile(rotation, (4, 1))], axis=1) / 1e-6
         np.testing.assert_allclose(basis[..., column], change, atol=1e-5)
 
 
@@ -242,14 +242,14 @@ def test_other_gauges_have_no_orbits(gauge: Gauge) -> None:
 
 @pytest.mark.parametrize(("gauge", "axes"), [(Gauge.YAW, 1), (Gauge.SE3, 3)])
 def test_normals_of_the_first_state_are_gradients_of_its_error(gauge: Gauge, axes: int) -> None:
-    turn = np.array([0.3, -0.2, 0.5])
-    normals = first_state_normals(gauge, 3, turn)
+    rotation = np.array([0.3, -0.2, 0.5])
+    normals = first_state_normals(gauge, 3, rotation)
     assert not normals[1:].any()
     np.testing.assert_array_equal(normals[0, :3, axes:], np.eye(3))
     assert not normals[0, :3, :axes].any()
     assert not normals[0, 3:, axes:].any()
     for axis, step in enumerate(1e-6 * np.eye(3)):
-        ahead, behind = (so3.log(so3.exp(sign * step) @ so3.exp(turn)) for sign in (1.0, -1.0))
+        ahead, behind = (so3.log(so3.exp(sign * step) @ so3.exp(rotation)) for sign in (1.0, -1.0))
         change = (ahead - behind) / 2e-6
         np.testing.assert_allclose(normals[0, 3 + axis, :axes], change[3 - axes :], atol=1e-8)
 
@@ -266,9 +266,9 @@ def test_normals_of_least_squares_are_gradients_of_its_conditions(gauge: Gauge) 
 
     def conditions(aligned: Array) -> Array:
         one, other = p - weights @ p, aligned - weights @ aligned
-        turns = weights @ np.cross(other, one)
+        rotations = weights @ np.cross(other, one)
         scale = weights @ (other * (one - other)).sum(axis=1)
-        both = [turns[axes:], weights @ aligned, [scale]]
+        both = [rotations[axes:], weights @ aligned, [scale]]
         return np.concatenate(both)[: dimension(gauge)]
 
     normals = least_squares_normals(gauge, p, q, weights)
@@ -353,7 +353,7 @@ def test_a_gyroscope_of_linear_rates_turns_by_their_integral() -> None:
     rates = np.outer(1.0 + 2.0 * seconds, [0.0, 0.6, 0.8])
     first = lie.from_rotation_vector(np.array([0.5, 0.0, 0.0]))
     result = turned_by_gyro(seconds, rates, first)
-    turns = np.outer(seconds + seconds**2, [0.0, 0.6, 0.8])
-    expected = Rotation.from_quat(first) * Rotation.from_rotvec(turns)
+    rotations = np.outer(seconds + seconds**2, [0.0, 0.6, 0.8])
+    expected = Rotation.from_quat(first) * Rotation.from_rotvec(rotations)
     assert (expected.inv() * Rotation.from_quat(result)).magnitude().max() < 1e-12
     np.testing.assert_array_equal(turned_by_gyro(seconds, rates)[0], [0.0, 0.0, 0.0, 1.0])

@@ -87,8 +87,8 @@ def test_the_antimeridian_is_nowhere() -> None:
 def test_reference_vectors(reference: Callable[[str], Any]) -> None:
     assert len(reference("gnss")["geodesy"]["vectors"]) > 0
     for vector in reference("gnss")["geodesy"]["vectors"]:
-        found = east_north_up(np.array([vector["lat_lon_h"]]), Datum(*vector["datum"]))
-        np.testing.assert_allclose(found[0], vector["enu_m"], rtol=0, atol=PROMISED_M)
+        result = east_north_up(np.array([vector["lat_lon_h"]]), Datum(*vector["datum"]))
+        np.testing.assert_allclose(result[0], vector["enu_m"], rtol=0, atol=PROMISED_M)
 
 
 @given(

@@ -103,10 +103,10 @@ def test_yaw_is_the_signed_twist_and_tilt_the_swing(
 def test_yaw_adds_up_and_tilt_does_not_see_turns_about_gravity(seed: int, turn: float) -> None:
     q = quaternions(seed)
     about_z = np.array([0.0, 0.0, np.sin(turn / 2.0), np.cos(turn / 2.0)])
-    turned = lie.multiply(about_z, q)
-    apart = lie.yaw(turned) - lie.yaw(q) - turn
+    rotated = lie.multiply(about_z, q)
+    apart = lie.yaw(rotated) - lie.yaw(q) - turn
     np.testing.assert_allclose(np.cos(apart), 1.0, atol=1e-9)
-    np.testing.assert_allclose(lie.tilt(turned), lie.tilt(q), atol=1e-12)
+    np.testing.assert_allclose(lie.tilt(rotated), lie.tilt(q), atol=1e-12)
     assert (np.abs(lie.yaw(q)) <= np.pi).all()
 
 
@@ -212,8 +212,8 @@ def test_matrices_are_scipys_both_ways(seed: int) -> None:
 @given(seed=seeds)
 def test_matrices_turn_vectors_as_quaternions_do(seed: int) -> None:
     q, vectors = quaternions(seed), np.random.default_rng(seed).normal(size=(50, 3))
-    turned = np.einsum("nij,nj->ni", lie.to_matrix(q), vectors)
-    np.testing.assert_allclose(turned, lie.rotate(q, vectors), rtol=0, atol=1e-14)
+    rotated = np.einsum("nij,nj->ni", lie.to_matrix(q), vectors)
+    np.testing.assert_allclose(rotated, lie.rotate(q, vectors), rtol=0, atol=1e-14)
     np.testing.assert_array_equal(lie.to_matrix(q[0]), lie.to_matrix(q)[0])
     assert lie.to_matrix(q[:0]).shape == (0, 3, 3)
     assert lie.from_matrices(np.empty((0, 3, 3))).shape == (0, 4)

@@ -46,13 +46,13 @@ def test_runs_are_those_of_a_loop(flags: list[bool]) -> None:
 
 def test_lengths_and_angles_along_a_path() -> None:
     positions = np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 12], [3, 4, 12]])
-    turns = Rotation.from_rotvec(np.outer([0.0, 0.5, 0.2, 3.2], [1.0, 0, 0])).as_quat()
+    rotations = Rotation.from_rotvec(np.outer([0.0, 0.5, 0.2, 3.2], [1.0, 0, 0])).as_quat()
     np.testing.assert_allclose(step_lengths(positions), [5, 12, 0])
     np.testing.assert_allclose(travelled_distance(positions), [0, 5, 17, 17])
-    np.testing.assert_allclose(step_angles(turns), [0.5, 0.3, 3.0], atol=1e-12)
-    np.testing.assert_allclose(turned_angle(turns), [0, 0.5, 0.8, 3.8], atol=1e-12)
+    np.testing.assert_allclose(step_angles(rotations), [0.5, 0.3, 3.0], atol=1e-12)
+    np.testing.assert_allclose(turned_angle(rotations), [0, 0.5, 0.8, 3.8], atol=1e-12)
     stamps = np.array([0, 2, 3, 5]) * SECOND
-    linear, angular = speeds(stamps, positions, turns)
+    linear, angular = speeds(stamps, positions, rotations)
     np.testing.assert_allclose(linear, [2.5, 12, 0])
     assert angular is not None
     np.testing.assert_allclose(angular, [0.25, 0.3, 1.5], atol=1e-12)
@@ -90,8 +90,8 @@ def test_columns_between_times() -> None:
     columns = np.array([[0.0, 1.0], [2.0, 0.0], [6.0, 4.0]])
     expected = [[0, 1], [0, 1], [0.5, 0.75], [2, 0], [4, 2], [6, 4], [6, 4]]
     np.testing.assert_allclose(columns_at(times, columns, at), expected)
-    turns = lie.from_rotation_vector(np.outer([0.0, 1.0, 2.0], [0.0, 0.0, 1.0]))
-    result = lie.rotation_vector(slerp_at(times, turns, at))[:, 2]
+    rotations = lie.from_rotation_vector(np.outer([0.0, 1.0, 2.0], [0.0, 0.0, 1.0]))
+    result = lie.rotation_vector(slerp_at(times, rotations, at))[:, 2]
     np.testing.assert_allclose(result, [0, 0, 0.25, 1, 1.5, 2, 2], atol=1e-12)
 
 
@@ -100,17 +100,17 @@ def test_upright_states_are_turned_as_a_whole(name: str) -> None:
     truth = make_groundtruth(2, 20)
     root = np.random.default_rng(0).normal(size=(20, 6, 6))
     truth = dataclasses.replace(truth, up=UpAxis(name), covariances=root @ np.swapaxes(root, 1, 2))
-    result, turn = upright(truth), UpAxis(name).matrix
-    np.testing.assert_allclose(result.positions, truth.positions @ turn.T)
+    result, rotation = upright(truth), UpAxis(name).matrix
+    np.testing.assert_allclose(result.positions, truth.positions @ rotation.T)
     assert result.velocities is not None
     assert truth.velocities is not None
-    np.testing.assert_allclose(result.velocities, truth.velocities @ turn.T)
+    np.testing.assert_allclose(result.velocities, truth.velocities @ rotation.T)
     assert result.rotations is not None
     assert truth.rotations is not None
     np.testing.assert_allclose(
-        result.rotations.as_matrix(), turn @ truth.rotations.as_matrix(), atol=1e-14
+        result.rotations.as_matrix(), rotation @ truth.rotations.as_matrix(), atol=1e-14
     )
-    both = np.kron(np.eye(2), turn)
+    both = np.kron(np.eye(2), rotation)
     assert result.covariances is not None
     assert truth.covariances is not None
     np.testing.assert_allclose(result.covariances, both @ truth.covariances @ both.T, atol=1e-12)

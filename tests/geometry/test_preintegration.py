@@ -21,8 +21,10 @@ def test_preintegrated_motion_follows_the_biases_to_first_order() -> None:
     computed = preintegrate(rates, forces, steps, ImuNoise(1.0, 1.0))
     for place, unit in enumerate(1e-5 * np.eye(6)):
         ahead, behind = integrated(unit), integrated(-unit)
-        turn = so3.log(np.swapaxes(behind[0], 1, 2) @ ahead[0])
-        differences = np.concatenate([turn, ahead[1] - behind[1], ahead[2] - behind[2]], axis=1)
+        rotation = so3.log(np.swapaxes(behind[0], 1, 2) @ ahead[0])
+        differences = np.concatenate(
+            [rotation, ahead[1] - behind[1], ahead[2] - behind[2]], axis=1
+        )
         np.testing.assert_allclose(
             computed.by_biases[:, :, place], differences / 2e-5, rtol=1e-6, atol=1e-10
         )

@@ -82,10 +82,10 @@ def test_results_have_the_remarks_of_inputs_and_runs(tmp_path: Path) -> None:
     path.write_text("\n".join(rows))
     given = ["-g", str(path), "-e", str(path), "--quiet", "--json", str(result)]
     assert main(["evaluate", *given]) == 0
-    found = json.loads(result.read_text())
-    of_input = {remark["code"]: remark["level"] for remark in found["groundtruth"]["remarks"]}
+    outcome = json.loads(result.read_text())
+    of_input = {remark["code"]: remark["level"] for remark in outcome["groundtruth"]["remarks"]}
     assert of_input["format"] == "note"
     assert of_input["conflicting_states"] == "warning"
-    assert found["runs"][0]["estimate"]["remarks"][0]["text"] == "format: TUM"
-    of_run = {remark["code"]: remark["level"] for remark in found["runs"][0]["remarks"]}
+    assert outcome["runs"][0]["estimate"]["remarks"][0]["text"] == "format: TUM"
+    of_run = {remark["code"]: remark["level"] for remark in outcome["runs"][0]["remarks"]}
     assert of_run["conflicting_states"] == "warning"

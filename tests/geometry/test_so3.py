@@ -60,6 +60,6 @@ def test_skew_is_the_cross_product(seed: int) -> None:
 def test_logarithms_near_half_a_turn(short_of_half_a_turn: float) -> None:
     directions = np.array([[0.48, -0.6, 0.64], [1.0, 0.0, 0.0], [0.0, -0.6, 0.8]])
     vectors = (np.pi - short_of_half_a_turn) * directions
-    found = so3.log(so3.exp(vectors))
-    signs = np.sign(np.sum(found * vectors, axis=1, keepdims=True))  # at half a turn, either
-    np.testing.assert_allclose(signs * found, vectors, atol=1e-9)
+    result = so3.log(so3.exp(vectors))
+    signs = np.sign(np.sum(result * vectors, axis=1, keepdims=True))  # at half a turn, either
+    np.testing.assert_allclose(signs * result, vectors, atol=1e-9)

@@ -65,9 +65,9 @@ def test_batches_don_t_matter(stamps: list[int], cuts: list[int]) -> None:
     expected, whole = trusted_states(in_ns)
     trust = OutlierStamps()
     parts = np.split(np.arange(len(in_ns)), sorted(cuts))
-    found = [trust.take(in_ns[part], part)[1] for part in parts]
-    found.append(trust.take(in_ns[:0], np.arange(0), at_end=True)[1])
-    np.testing.assert_array_equal(np.concatenate(found), expected)
+    result = [trust.take(in_ns[part], part)[1] for part in parts]
+    result.append(trust.take(in_ns[:0], np.arange(0), at_end=True)[1])
+    np.testing.assert_array_equal(np.concatenate(result), expected)
     assert (trust.lone, trust.message) == (whole.lone, whole.message)
 
 
@@ -121,7 +121,7 @@ def faulty_messages(
 ) -> list[Message]:
     """Return both topics' messages in order of their true stamps, some with wrong ones."""
     pair = make_pair(seed, COUNT, smooth=True)
-    found = []
+    result = []
     for side, topic, kind, wrong_s in (
         (pair.groundtruth, GROUNDTRUTH, POSE, groundtruth_faults),
         (pair.estimate, ESTIMATE, ODOM, faults),
@@ -129,8 +129,8 @@ def faulty_messages(
         wrong_s = {row % len(side): item for row, item in wrong_s.items()}
         written = messages_of(spoiled(side, wrong_s), topic, kind)
         for (name, of, _, payload), logged in zip(written, side.stamps.tolist(), strict=True):
-            found.append((name, of, logged, payload))
-    return sorted(found, key=lambda item: item[2])
+            result.append((name, of, logged, payload))
+    return sorted(result, key=lambda item: item[2])
 
 
 @pytest.mark.slow

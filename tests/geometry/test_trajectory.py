@@ -123,10 +123,10 @@ def test_columns_that_are_not_finite_throughout_are_left_out_and_said_so(
 
 
 def test_quaternions_of_any_length_are_rotations() -> None:
-    turns = Rotation.random(5, random_state=1)
-    read = Trajectory.from_columns(stamps(5), np.zeros((5, 3)), 1e-3 * turns.as_quat())
+    rotations = Rotation.random(5, random_state=1)
+    read = Trajectory.from_columns(stamps(5), np.zeros((5, 3)), 1e-3 * rotations.as_quat())
     assert read.rotations is not None
-    assert (read.rotations * turns.inv()).magnitude().max() <= SAME_ROTATION_RAD
+    assert (read.rotations * rotations.inv()).magnitude().max() <= SAME_ROTATION_RAD
 
 
 def test_nothing_left_is_an_empty_trajectory_that_says_why() -> None:
@@ -290,9 +290,9 @@ def test_times_keep_nanoseconds_after_decades() -> None:
 def test_states_between_states_are_linear_and_turn_evenly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.integers(1, 10**9, 20))
-    turns = Rotation.random(20, random_state=seed % 2**31)
+    rotations = Rotation.random(20, random_state=seed % 2**31)
     path = Trajectory.from_columns(
-        times, rng.normal(size=(20, 3)), turns.as_quat(), velocities=rng.normal(size=(20, 3))
+        times, rng.normal(size=(20, 3)), rotations.as_quat(), velocities=rng.normal(size=(20, 3))
     )
     selected = np.concatenate([rng.integers(times[0] - 10, times[-1] + 10, 50), times])
     result, bracket = path.at(selected, max_gap_s=0.5)
@@ -310,7 +310,7 @@ def test_states_between_states_are_linear_and_turn_evenly(seed: int) -> None:
         expected = np.column_stack([np.interp(stamps, times, column[:, i]) for i in range(3)])
         np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-6)
     assert result.rotations is not None
-    between = Slerp(times.astype(float), turns)(stamps.astype(float))
+    between = Slerp(times.astype(float), rotations)(stamps.astype(float))
     assert (between.inv() * result.rotations).magnitude().max(initial=0.0) < 1e-6
     assert result.covariances is result.reading.frame_numbers is None
     assert result.reading.matrices is result.reading.fixes is None

@@ -38,9 +38,9 @@ SYSTEMS = [
 
 @pytest.mark.parametrize(("name", "kind", "topic", "frame", "child"), SYSTEMS)
 def test_topics_of_systems(name: str, kind: str, topic: str, frame: str, child: str) -> None:
-    found = recognised(kind, topic, frame, child)
-    assert found is not None
-    assert found.name == name
+    result = recognised(kind, topic, frame, child)
+    assert result is not None
+    assert result.name == name
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_info_prints_a_complete_command(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not (SHARED / "data" / "px4").is_dir(), reason="the PX4 logs are not here")
 def test_of_px4() -> None:
-    found = describe(str(SHARED / "data" / "px4" / "synthetic_1_16.mcap")).trajectories
-    names = {item.source.rpartition("/")[2]: item.system and item.system.name for item in found}
+    result = describe(str(SHARED / "data" / "px4" / "synthetic_1_16.mcap")).trajectories
+    names = {item.source.rpartition("/")[2]: item.system and item.system.name for item in result}
     assert names["vehicle_odometry"] == "PX4"
     assert names["pose"] is None

@@ -25,17 +25,17 @@ ATE = evaluate(*SIDES).ate["position_m"]
 
 
 def matrices(trajectory: Trajectory) -> np.ndarray:
-    found = np.tile(np.eye(4), (len(trajectory), 1, 1))
+    result = np.tile(np.eye(4), (len(trajectory), 1, 1))
     assert trajectory.quaternions is not None
-    found[:, :3, :3] = lie.to_matrix(trajectory.quaternions)
-    found[:, :3, 3] = trajectory.positions
-    return found
+    result[:, :3, :3] = lie.to_matrix(trajectory.quaternions)
+    result[:, :3, 3] = trajectory.positions
+    return result
 
 
 def rmse(*sides: object) -> float:
-    found = evaluate(*sides).ate["position_m"]  # type: ignore[arg-type]
-    assert found is not None
-    return found.rmse
+    result = evaluate(*sides).ate["position_m"]  # type: ignore[arg-type]
+    assert result is not None
+    return result.rmse
 
 
 def test_matrices_of_any_form_and_both_kinds_of_times() -> None:
@@ -108,9 +108,9 @@ def test_run_takes_what_evaluate_takes() -> None:
     runs = run(tables[0], [SIDES[1], tables[1]]).runs
     assert [item.evaluation.estimate.name for item in runs] == [SIDES[1].name, "estimate 2"]
     for item in runs:
-        found = item.evaluation.ate["position_m"]
-        assert found is not None
-        assert found.rmse == pytest.approx(ATE.rmse, rel=1e-3)  # rounded to 0.2 us
+        result = item.evaluation.ate["position_m"]
+        assert result is not None
+        assert result.rmse == pytest.approx(ATE.rmse, rel=1e-3)  # rounded to 0.2 us
 
 
 def test_pairs_by_row_are_said_and_have_no_duration() -> None:
@@ -118,9 +118,9 @@ def test_pairs_by_row_are_said_and_have_no_duration() -> None:
     timed = Trajectory.from_positions(pairs.groundtruth.positions, stamps=pairs.groundtruth.stamps)
     bare = Trajectory.from_positions(pairs.estimate.positions)
     for sides, side in (((timed, bare), "estimate"), ((bare, timed), "groundtruth")):
-        said = evaluate(*sides).warnings
-        assert said[0].startswith(f"poses are paired by row, because the {side} has no timestamps")
-        assert "in Python, with seconds=" in said[0]
+        text = evaluate(*sides).warnings
+        assert text[0].startswith(f"poses are paired by row, because the {side} has no timestamps")
+        assert "in Python, with seconds=" in text[0]
     assert not any("by row" in warning for warning in evaluate(*SIDES).warnings)
     jumping = bare.positions.copy()
     jumping[len(bare) // 2] += 3.0

@@ -42,7 +42,7 @@ Make = Callable[[Path], Path]
 @functools.cache
 def messages() -> tuple[Message, ...]:
     """Return topic, type, log time and payload of a short flight."""
-    found: list[tuple[str, str, int, Any]] = []
+    result: list[tuple[str, str, int, Any]] = []
     covariance = TYPES["geometry_msgs/msg/PoseWithCovariance"]
     twist = TYPES["geometry_msgs/msg/TwistWithCovariance"](
         TYPES["geometry_msgs/msg/Twist"](
@@ -52,24 +52,24 @@ def messages() -> tuple[Message, ...]:
         np.zeros(36),
     )
     static = TYPES[TF]([transform(BEGIN, "base", "lidar", 0.5)])
-    found.append(("/tf_static", TF, BEGIN, static))
+    result.append(("/tf_static", TF, BEGIN, static))
     path = []
     for row in range(COUNT):
         stamp = BEGIN + row * STEP
-        found.append(("/truth", POSE_STAMPED, stamp, pose_stamped(stamp, float(row))))
+        result.append(("/truth", POSE_STAMPED, stamp, pose_stamped(stamp, float(row))))
         if row % 2 == 0:
             own = covariance(pose(row + 0.5), np.eye(6).ravel() * (row + 1))
             message = TYPES[ODOMETRY](header(stamp, "odom"), "base", own, twist)
-            found.append(("/odom", ODOMETRY, stamp + 1, message))
+            result.append(("/odom", ODOMETRY, stamp + 1, message))
         if row % 3 == 0:
             edges = [transform(stamp, "map", "odom", row), transform(stamp, "odom", "base", -row)]
-            found.append(("/tf", TF, stamp + 2, TYPES[TF](edges)))
+            result.append(("/tf", TF, stamp + 2, TYPES[TF](edges)))
         if row % 50 == 0:
             path += [pose_stamped(stamp + index, row + 0.1 * index) for index in range(20)]
-            found.append(("/path", PATH, stamp + 3, TYPES[PATH](header(stamp), list(path))))
+            result.append(("/path", PATH, stamp + 3, TYPES[PATH](header(stamp), list(path))))
     return tuple(
         (topic, kind, stamp, bytes(STORE.serialize_cdr(message, kind)))
-        for topic, kind, stamp, message in found
+        for topic, kind, stamp, message in result
     )
 
 
@@ -77,12 +77,12 @@ def flight(images: int = 0) -> list[Message]:
     """Return the messages of the flight among random bytes, that many images of 100 kB."""
     noise = np.random.default_rng(0)
     every = COUNT // images if images else 0
-    found: list[Message] = []
+    result: list[Message] = []
     for number, message in enumerate(messages()):
-        found.append(message)
+        result.append(message)
         if every and number % every == 0:
-            found.append(("/image", IMAGE, message[2], noise.bytes(100_000)))
-    return found
+            result.append(("/image", IMAGE, message[2], noise.bytes(100_000)))
+    return result
 
 
 def mcap(path: Path, flown: Sequence[Message], **options: Any) -> Path:
@@ -171,12 +171,12 @@ def alone(source: str, *, strict: bool = False, covariances: bool = True) -> Tra
 def assert_as_alone(sources: Sequence[str], *, strict: bool = False) -> list[Trajectory | str]:
     """Check that sources read together give what each gives alone, errors included."""
     item = [alone(source, strict=strict) for source in sources]
-    refused = [found for found in item if isinstance(found, str)]
+    refused = [result for result in item if isinstance(result, str)]
     if refused:
         with pytest.raises(InputError) as raised:
             read_many(sources, strict=strict)
         assert str(raised.value) in refused
-    kept = [source for source, found in zip(sources, item, strict=True) if found not in refused]
+    kept = [source for source, result in zip(sources, item, strict=True) if result not in refused]
     together = read_many(kept, strict=strict)
     for one, other in zip(together, (e for e in item if not isinstance(e, str)), strict=True):
         assert_same(one, other)
@@ -188,10 +188,10 @@ def assert_no_silent_loss(sources: Sequence[str]) -> list[Trajectory | str]:
     item = [alone(source) for source in sources]
     kept = [
         source
-        for source, found in zip(sources, item, strict=True)
-        if isinstance(found, Trajectory)
+        for source, result in zip(sources, item, strict=True)
+        if isinstance(result, Trajectory)
     ]
-    read = [found for found in item if isinstance(found, Trajectory)]
+    read = [result for result in item if isinstance(result, Trajectory)]
     for one, other in zip(read_many(kept), read, strict=True):
         assert len(one) >= len(other) or one.reading.messages(Level.ERROR)
         assert len(other) >= len(one) or other.reading.messages(Level.ERROR)
@@ -209,10 +209,10 @@ def assert_no_silent_loss(sources: Sequence[str]) -> list[Trajectory | str]:
 def test_sources_read_together_are_as_read_alone(kind: str, strict: bool, tmp_path: Path) -> None:
     bag = MAKE[kind](tmp_path / "x")
     sources = [f"{bag}:{item}" for item in WANTED]
-    found = assert_as_alone(sources, strict=strict)
-    counts = [len(item) for item in found if isinstance(item, Trajectory)]
+    result = assert_as_alone(sources, strict=strict)
+    counts = [len(item) for item in result if isinstance(item, Trajectory)]
     assert counts == [COUNT, COUNT // 2, 120, COUNT // 3, COUNT // 3]
-    assert "are static" in str(found[-1])
+    assert "are static" in str(result[-1])
 
 
 @pytest.mark.slow
@@ -225,24 +225,24 @@ def test_the_law_holds_for_damaged_bags(kind: str, tmp_path: Path) -> None:
     random = np.random.default_rng(len(kind))
     sources = [f"{bag}:{item}" for item in READABLE]
     damaged = 0
-    for turn in range(12):
+    for rotation in range(12):
         for file, content in zip(files, contents, strict=True):
             changed = bytearray(content)
             place = int(random.integers(0, len(content)))
-            if turn % 4 == 0:
+            if rotation % 4 == 0:
                 changed = changed[:place]
             else:
                 noise = random.bytes(int(random.choice([1, 30, 5000])))
                 changed[place : place + len(noise)] = noise
                 changed = changed[: len(content)]
             file.write_bytes(changed)
-        strict = turn % 3 == 2
+        strict = rotation % 3 == 2
         if strict or kind.startswith("ros1"):
-            found = assert_as_alone(sources, strict=strict)
+            result = assert_as_alone(sources, strict=strict)
         else:
-            found = assert_no_silent_loss(sources)
+            result = assert_no_silent_loss(sources)
         damaged += any(
-            isinstance(item, str) or bool(item.reading.messages(Level.ERROR)) for item in found
+            isinstance(item, str) or bool(item.reading.messages(Level.ERROR)) for item in result
         )
     assert damaged
 
@@ -409,8 +409,8 @@ def test_bags_and_texts_in_any_order(tmp_path: Path) -> None:
     ]
     seen: list[tuple[int, int]] = []
     read = read_many(sources, advance=lambda done, total: seen.append((done, total)))
-    for source, found in zip(sources, read, strict=True):
-        assert_same(found, read_trajectory(source))
+    for source, result in zip(sources, read, strict=True):
+        assert_same(result, read_trajectory(source))
     assert read[5].positions is read[6].positions  # read once
     assert seen == sorted(seen)
     assert seen[-1][0] == seen[-1][1]
@@ -425,10 +425,10 @@ def test_covariances_are_read_for_those_that_want_them(tmp_path: Path) -> None:
     assert without.covariances is None
     assert truth.covariances is None
     assert with_them.covariances is not None
-    for found, wanted in ((without, False), (with_them, True)):
-        same = alone(f"{bag}:/odom", covariances=wanted)
+    for result, expected in ((without, False), (with_them, True)):
+        same = alone(f"{bag}:/odom", covariances=expected)
         assert isinstance(same, Trajectory)
-        assert_same(found, same)
+        assert_same(result, same)
     with pytest.raises(ValueError, match="2 values for 3 sources"):
         read_many(sources, covariances=[True, False])
 

@@ -105,11 +105,11 @@ def test_of_a_path_the_last_pose_of_every_message_was_received(tmp_path: Path) -
 
 
 def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: Path) -> None:
-    turn = (0.0, 0.0, 0.0, 1.0)
+    rotation = (0.0, 0.0, 0.0, 1.0)
     ms = 10**6
 
     def moved(parent: str, child: str, stamp: int, at: int, x: float) -> Any:
-        payload = transforms_message((parent, child, stamp * ms, (x, 0.0, 0.0), turn))
+        payload = transforms_message((parent, child, stamp * ms, (x, 0.0, 0.0), rotation))
         return ("/tf", "tf2_msgs/msg/TFMessage", at * ms, at * ms, payload)
 
     begin = 100_000
@@ -196,8 +196,8 @@ def test_written_receptions_are_read_back(tmp_path: Path) -> None:
     stamps = 1_700_000_000 * SECOND + np.arange(50) * 50_000_000
     delays = np.random.default_rng(0).integers(1_000, 300_000, 50) * 1000
     reading = SourceInfo(source="run:/vio", receptions=ReceiveTimes(stamps + delays))
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
-    written = Trajectory(stamps, np.ones((50, 3)), turns, reading=reading)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
+    written = Trajectory(stamps, np.ones((50, 3)), rotations, reading=reading)
     write_bag(bag, {"/vio": (written, "geometry_msgs/msg/PoseStamped")})
     assert main(["trajectory", f"{bag}:/vio", "--save-as", "euroc", "--output", str(folder)]) == 0
     [file] = folder.iterdir()
@@ -259,8 +259,8 @@ def test_evaluate_states_arrivals_gaps_and_missed_messages(
     assert stream["arrival_max_s"] == pytest.approx(0.647, abs=1e-3)
     assert run["as_available"] is None
     assert main(["evaluate", *sources, "--modality", "lidar"]) == 0
-    said = "arrival after timestamp 0.0309 s median, 0.252 s p95, 0.647 s max; 3 of 400 messages"
-    assert said in capsys.readouterr().out
+    text = "arrival after timestamp 0.0309 s median, 0.252 s p95, 0.647 s max; 3 of 400 messages"
+    assert text in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -269,11 +269,11 @@ def test_wheel_odometry_of_a_real_robot(shared_data: Path, tmp_path: Path) -> No
     sources = f"{bag}:/fix", f"{bag}:/husky_velocity_controller/odom"
     for motion, expected_m in (("hold", 0.0639), ("twist", 0.0383), ("constant", 0.0393)):
         [run] = evaluated(tmp_path, *sources, "--modality", "wheel", "--as-available", motion)
-        found = run["as_available"]
-        assert found["age_error_m"]["rmse"] == pytest.approx(expected_m, abs=1e-4)
-        assert found["age_s"]["mean"] == pytest.approx(0.0505, abs=1e-4)
-        assert found["available_percent"] == pytest.approx(99.0, abs=0.1)
-        assert found["clock"]["verdict"] == "ok"
+        result = run["as_available"]
+        assert result["age_error_m"]["rmse"] == pytest.approx(expected_m, abs=1e-4)
+        assert result["age_s"]["mean"] == pytest.approx(0.0505, abs=1e-4)
+        assert result["available_percent"] == pytest.approx(99.0, abs=0.1)
+        assert result["clock"]["verdict"] == "ok"
 
 
 def test_processing_times_change_the_order_of_two_real_estimators(
@@ -304,9 +304,9 @@ def test_clocks_that_can_not_be_compared_withhold_the_numbers(
     path = shared_data / "bags" / bag
     sources = f"{path}:{truth}", f"{path}:{estimate}"
     [run] = evaluated(tmp_path, *sources, "--gauge", "se3", "--as-available")
-    found = run["as_available"]
-    assert found["clock"]["verdict"] == verdict
-    assert found["position_m"] is None
+    result = run["as_available"]
+    assert result["clock"]["verdict"] == verdict
+    assert result["position_m"] is None
     assert [remark["code"] for remark in run["remarks"]].count("reception_clock") == 1
     assert run["ate"]["position_m"]["rmse"] > 0.0
     assert run["stream"]["arrival_p50_s"] is None

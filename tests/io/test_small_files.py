@@ -56,9 +56,9 @@ def test_rotations_that_are_all_the_identity_are_none() -> None:
     alone = identities[:1]
     assert check_rotations(alone) == (alone, ())
     for column in range(3):
-        turned = identities.copy()
-        turned[1, column] = 1e-3
-        assert check_rotations(turned) == (turned, ())
+        rotated = identities.copy()
+        rotated[1, column] = 1e-3
+        assert check_rotations(rotated) == (rotated, ())
     assert check_rotations(None)[1][0].code == "no_rotations"
 
 

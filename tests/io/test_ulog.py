@@ -110,43 +110,45 @@ def test_poses_are_in_ros_axes(tmp_path: Path, frame: int, world: Array, in_body
     columns = odometry(
         pose_frame=np.full(COUNT, frame), velocity_frame=np.full(COUNT, velocity_frame)
     )
-    found = read(tmp_path, "vehicle_odometry", columns)
+    result = read(tmp_path, "vehicle_odometry", columns)
     rotations = turns()
-    np.testing.assert_allclose(found.positions, columns["position"] @ world, atol=1e-15)
-    assert found.quaternions is not None
-    assert found.velocities is not None
-    np.testing.assert_allclose(lie.to_matrix(found.quaternions), world @ rotations @ B, atol=4e-15)
+    np.testing.assert_allclose(result.positions, columns["position"] @ world, atol=1e-15)
+    assert result.quaternions is not None
+    assert result.velocities is not None
+    np.testing.assert_allclose(
+        lie.to_matrix(result.quaternions), world @ rotations @ B, atol=4e-15
+    )
     in_world = columns["velocity"]
     if in_body:
         in_world = np.einsum("nij,nj->ni", rotations, in_world)
-    np.testing.assert_allclose(found.velocities, in_world @ world, atol=1e-14)
-    assert found.covariances is not None
+    np.testing.assert_allclose(result.velocities, in_world @ world, atol=1e-14)
+    assert result.covariances is not None
     np.testing.assert_allclose(
-        found.covariances[:, :3, :3],
+        result.covariances[:, :3, :3],
         np.broadcast_to(world @ np.diag([0.01, 0.04, 0.09]) @ world, (COUNT, 3, 3)),
         atol=1e-16,
     )
     own = world @ rotations @ B
     about = own @ np.diag([1e-4, 4e-4, 9e-4]) @ np.swapaxes(own, 1, 2)
-    np.testing.assert_allclose(found.covariances[:, 3:, 3:], about, atol=1e-16)
-    assert (found.frame, found.child_frame) == (
+    np.testing.assert_allclose(result.covariances[:, 3:, 3:], about, atol=1e-16)
+    assert (result.frame, result.child_frame) == (
         "map_enu" if frame == NED else "odom_flu",
         "base_link_flu",
     )
-    assert f"converted from {'NED' if frame == NED else 'FRD'}" in said(found)
+    assert f"converted from {'NED' if frame == NED else 'FRD'}" in said(result)
 
 
 def test_level_and_north_is_a_yaw_of_90_deg(tmp_path: Path) -> None:
     columns = odometry(q=np.tile([1.0, 0.0, 0.0, 0.0], (COUNT, 1)))
-    found = read(tmp_path, "vehicle_odometry", columns)
-    assert found.quaternions is not None
-    np.testing.assert_allclose(lie.yaw(found.quaternions), np.pi / 2.0)
+    result = read(tmp_path, "vehicle_odometry", columns)
+    assert result.quaternions is not None
+    np.testing.assert_allclose(lie.yaw(result.quaternions), np.pi / 2.0)
 
 
 def test_velocities_in_another_frame_are_missing_and_the_pose_is_kept(tmp_path: Path) -> None:
-    found = read(tmp_path, "vehicle_odometry", odometry(velocity_frame=np.full(COUNT, FRD)))
-    assert len(found) == COUNT
-    assert found.velocities is None
+    result = read(tmp_path, "vehicle_odometry", odometry(velocity_frame=np.full(COUNT, FRD)))
+    assert len(result) == COUNT
+    assert result.velocities is None
 
 
 def test_timestamps_are_of_the_measurement_if_that_is_plausible(tmp_path: Path) -> None:
@@ -156,9 +158,9 @@ def test_timestamps_are_of_the_measurement_if_that_is_plausible(tmp_path: Path) 
     measured[2] = columns["timestamp"][2] + 1
     columns["timestamp"] += np.uint64(2_000_000)
     measured[3:] += np.uint64(2_000_000)
-    found = read(tmp_path, "vehicle_odometry", columns | {"timestamp_sample": measured})
+    result = read(tmp_path, "vehicle_odometry", columns | {"timestamp_sample": measured})
     expected = [*columns["timestamp"][:3], *measured[3:]]
-    assert found.stamps.tolist() == [1000 * int(item) for item in expected]
+    assert result.stamps.tolist() == [1000 * int(item) for item in expected]
 
 
 def test_unusable_poses_are_dropped_and_counted(tmp_path: Path) -> None:
@@ -169,16 +171,16 @@ def test_unusable_poses_are_dropped_and_counted(tmp_path: Path) -> None:
     columns["pose_frame"][7] = 0
     columns["pose_frame"][8:10] = FRD
     columns["velocity_frame"][8:10] = FRD
-    found = read(tmp_path, "vehicle_odometry", columns)
-    assert found.reading.dropped == {
+    result = read(tmp_path, "vehicle_odometry", columns)
+    assert result.reading.dropped == {
         "no_position": 1,
         "no_orientation": 3,
         "unknown_frame": 1,
         "other_frame": 2,
     }
-    assert len(found) == COUNT - 7
-    assert found.frame == "map_enu"
-    assert "2 messages with quality -1" in said(found)
+    assert len(result) == COUNT - 7
+    assert result.frame == "map_enu"
+    assert "2 messages with quality -1" in said(result)
 
 
 def test_variances_of_one_kind_are_kept_and_the_missing_ones_counted(tmp_path: Path) -> None:
@@ -186,15 +188,15 @@ def test_variances_of_one_kind_are_kept_and_the_missing_ones_counted(tmp_path: P
     columns = odometry()
     columns["position_variance"][4:] = np.nan
     columns["orientation_variance"][:3] = 0.0
-    found = read(tmp_path, "vehicle_odometry", columns)
+    result = read(tmp_path, "vehicle_odometry", columns)
     whole = read(tmp_path, "vehicle_odometry", odometry())
-    assert found.covariances is not None
+    assert result.covariances is not None
     assert whole.covariances is not None
     expected = whole.covariances.copy()
     expected[4:, :3, :3] = expected[:3, 3:, 3:] = np.nan
-    np.testing.assert_array_equal(found.covariances, expected)
+    np.testing.assert_array_equal(result.covariances, expected)
     assert "covariances are incomplete: 26 messages without variances of the position, 3" in said(
-        found
+        result
     )
     assert "incomplete" not in said(whole)
     old = {name: columns[name] for name in ("timestamp", "timestamp_sample", "q")}
@@ -203,14 +205,14 @@ def test_variances_of_one_kind_are_kept_and_the_missing_ones_counted(tmp_path: P
     triangle = np.full((COUNT, 21), 1e-3)
     triangle[:, 15] = np.nan
     old |= {"local_frame": np.zeros(COUNT, dtype=np.uint8), "pose_covariance": triangle}
-    found = read(tmp_path, "vehicle_odometry", old)
-    assert found.covariances is not None
-    assert np.isfinite(found.covariances[:, :3, :3]).all()
-    assert "30 messages without variances of the orientation" in said(found)
+    result = read(tmp_path, "vehicle_odometry", old)
+    assert result.covariances is not None
+    assert np.isfinite(result.covariances[:, :3, :3]).all()
+    assert "30 messages without variances of the orientation" in said(result)
     nothing = {f"{item}_variance": np.zeros((COUNT, 3)) for item in ("position", "orientation")}
-    found = read(tmp_path, "vehicle_odometry", odometry(**nothing))
-    assert found.covariances is None
-    assert "incomplete" not in said(found)
+    result = read(tmp_path, "vehicle_odometry", odometry(**nothing))
+    assert result.covariances is None
+    assert "incomplete" not in said(result)
 
 
 def test_declared_resets_have_a_step_and_a_turn(tmp_path: Path) -> None:
@@ -225,13 +227,13 @@ def test_declared_resets_have_a_step_and_a_turn(tmp_path: Path) -> None:
         q=np.column_stack([np.cos(headings / 2), *np.zeros((2, COUNT)), np.sin(headings / 2)]),
         reset_counter=np.where(rows < 20, 255, np.where(rows < 25, 0, 1)),
     )
-    found = read(tmp_path, "vehicle_odometry", columns)
-    first, second = found.reading.resets
+    result = read(tmp_path, "vehicle_odometry", columns)
+    first, second = result.reading.resets
     assert (first.stamp_ns, second.stamp_ns) == (1_200_000_000, 1_250_000_000)
     np.testing.assert_allclose(first[1:], [0.5, 0.0], atol=1e-5)
     np.testing.assert_allclose(second[1:], [0.0, np.degrees(0.1)], atol=1e-5)
-    assert "2 resets declared by the estimator: at 0.20 s 0.50 m and 0.0 deg" in said(found)
-    assert said(found).endswith("use --start @1.250")
+    assert "2 resets declared by the estimator: at 0.20 s 0.50 m and 0.0 deg" in said(result)
+    assert said(result).endswith("use --start @1.250")
 
 
 def test_local_positions_get_interpolated_attitudes(tmp_path: Path) -> None:
@@ -240,21 +242,21 @@ def test_local_positions_get_interpolated_attitudes(tmp_path: Path) -> None:
     q = np.column_stack([np.cos(headings / 2), *np.zeros((2, COUNT + 1)), np.sin(headings / 2)])
     keep = np.r_[:10, 22 : COUNT + 1]  # a gap of 0.13 s
     attitude = {"timestamp": times[keep], "q": q[keep]}
-    found = read(tmp_path, "vehicle_local_position", local_position(), vehicle_attitude=attitude)
-    assert found.reading.dropped == {"no_attitude_within_0.1_s": 13}
-    assert found.quaternions is not None
+    result = read(tmp_path, "vehicle_local_position", local_position(), vehicle_attitude=attitude)
+    assert result.reading.dropped == {"no_attitude_within_0.1_s": 13}
+    assert result.quaternions is not None
     rows = np.r_[:9, 22:COUNT]
     yaw = np.pi / 2.0 - (0.02 * rows + 0.01)
-    np.testing.assert_allclose(lie.yaw(found.quaternions), yaw, atol=1e-12)
-    np.testing.assert_array_equal(found.positions, np.column_stack([2 * rows, rows, rows]))
-    assert found.velocities is not None
-    np.testing.assert_array_equal(found.velocities[0], [1.0, 1.0, -1.0])
+    np.testing.assert_allclose(lie.yaw(result.quaternions), yaw, atol=1e-12)
+    np.testing.assert_array_equal(result.positions, np.column_stack([2 * rows, rows, rows]))
+    assert result.velocities is not None
+    np.testing.assert_array_equal(result.velocities[0], [1.0, 1.0, -1.0])
 
 
 def test_local_positions_without_attitudes_are_points(tmp_path: Path) -> None:
-    found = read(tmp_path, "vehicle_local_position_groundtruth", local_position())
-    assert found.quaternions is None
-    assert len(found) == COUNT
+    result = read(tmp_path, "vehicle_local_position_groundtruth", local_position())
+    assert result.quaternions is None
+    assert len(result) == COUNT
 
 
 @pytest.mark.parametrize(("flag", "axis"), [("xy", "horizontal"), ("z", "vertical")])
@@ -266,8 +268,8 @@ def test_positions_that_the_estimator_did_not_have_are_refused(
     with pytest.raises(InputError, match=match):
         read(tmp_path, "vehicle_local_position", columns)
     some = np.arange(COUNT) >= 4
-    found = read(tmp_path, "vehicle_local_position", columns | {f"{flag}_valid": some.view("u1")})
-    assert found.reading.dropped == {f"{flag}_valid_false": 4}
+    result = read(tmp_path, "vehicle_local_position", columns | {f"{flag}_valid": some.view("u1")})
+    assert result.reading.dropped == {f"{flag}_valid_false": 4}
 
 
 def test_fixes_have_the_height_and_accuracy_of_the_receiver(tmp_path: Path) -> None:
@@ -277,9 +279,9 @@ def test_fixes_have_the_height_and_accuracy_of_the_receiver(tmp_path: Path) -> N
     columns["latitude_deg"] += 1e-5 * np.arange(9)
     columns |= {"timestamp": times, "altitude_ellipsoid_m": 400.0 + np.arange(9)}
     columns |= {"fix_type": np.arange(9, dtype=np.uint8)}
-    found = read(tmp_path, "sensor_gps", columns)
-    assert found.reading.dropped == {"no_fix": 4}
-    fixes = found.reading.fixes
+    result = read(tmp_path, "sensor_gps", columns)
+    assert result.reading.dropped == {"no_fix": 4}
+    fixes = result.reading.fixes
     assert fixes is not None
     assert fixes.status.tolist() == [0, 1, 2, 2, 0]
     np.testing.assert_allclose(fixes.places[:, 2], [403.0, 404.0, 405.0, 406.0, 408.0])
@@ -290,8 +292,8 @@ def test_topics_of_a_log_are_named_and_listed(tmp_path: Path) -> None:
     path = tmp_path / "log.ulg"
     names = [("vehicle_odometry", 0), ("estimator_odometry", 1), ("vehicle_mocap_odometry", 0)]
     write_ulog(path, [(name, instance, odometry()) for name, instance in names])
-    found = each_topic(str(path))
-    assert sorted(item.rpartition(":")[2] for item in found) == [
+    result = each_topic(str(path))
+    assert sorted(item.rpartition(":")[2] for item in result) == [
         "estimator_odometry.1",
         "vehicle_mocap_odometry",
         "vehicle_odometry",
@@ -359,9 +361,9 @@ def test_damage_is_reported_and_refused_if_strict(tmp_path: Path) -> None:
     raw = bytearray(path.read_bytes())
     raw[-1500:-1100] = bytes(400)
     path.write_bytes(raw)
-    found = read_trajectory(f"{path}:vehicle_odometry")
-    assert 0 < len(found) < COUNT
-    assert "is damaged" in "; ".join(found.reading.messages(Level.ERROR))
+    result = read_trajectory(f"{path}:vehicle_odometry")
+    assert 0 < len(result) < COUNT
+    assert "is damaged" in "; ".join(result.reading.messages(Level.ERROR))
     with pytest.raises(InputError, match="is damaged"):
         read_trajectory(f"{path}:vehicle_odometry", strict=True)
     path.write_bytes(raw[:20])
@@ -408,30 +410,32 @@ def test_conversions_equal_the_reference() -> None:
     compared = 0
     for log, name, expected in _topics(reference):
         topic = "vehicle_local_position_groundtruth" if name == "groundtruth" else name
-        found = read_trajectory(f"{DATA / log}:{topic}")
-        assert len(found) == expected["kept"]
-        at = np.searchsorted(found.stamps, 1000 * np.array(expected["t_us"]))
-        assert (found.stamps[at] == 1000 * np.array(expected["t_us"])).all()
-        np.testing.assert_allclose(found.positions[at], expected["p"], rtol=0, atol=1e-12)
-        assert found.quaternions is not None
-        turned = found.quaternions[at]
-        signs = np.sign(np.einsum("ni,ni->n", turned, expected["q"]))
-        np.testing.assert_allclose(turned * signs[:, None], expected["q"], rtol=0, atol=1e-12)
-        if found.velocities is not None:
+        result = read_trajectory(f"{DATA / log}:{topic}")
+        assert len(result) == expected["kept"]
+        at = np.searchsorted(result.stamps, 1000 * np.array(expected["t_us"]))
+        assert (result.stamps[at] == 1000 * np.array(expected["t_us"])).all()
+        np.testing.assert_allclose(result.positions[at], expected["p"], rtol=0, atol=1e-12)
+        assert result.quaternions is not None
+        rotated = result.quaternions[at]
+        signs = np.sign(np.einsum("ni,ni->n", rotated, expected["q"]))
+        np.testing.assert_allclose(rotated * signs[:, None], expected["q"], rtol=0, atol=1e-12)
+        if result.velocities is not None:
             # The reference turns by float32 quaternions, whose length is not exactly 1.
-            body = lie.rotate(lie.conjugate(turned), found.velocities[at])
+            body = lie.rotate(lie.conjugate(rotated), result.velocities[at])
             np.testing.assert_allclose(
                 body, np.array(expected["v_body"], dtype=float), rtol=0, atol=1e-6
             )
-        if found.covariances is not None:
-            diagonals = np.einsum("nii->ni", found.covariances[at])
+        if result.covariances is not None:
+            diagonals = np.einsum("nii->ni", result.covariances[at])
             np.testing.assert_allclose(diagonals, expected["cov_diagonal"], rtol=0, atol=1e-9)
             np.testing.assert_allclose(
-                found.covariances[at][:, 0], expected["cov_row_1"], rtol=0, atol=1e-12
+                result.covariances[at][:, 0], expected["cov_row_1"], rtol=0, atol=1e-12
             )
-        for reset, step in zip(found.reading.resets, expected.get("reset_steps", []), strict=True):
+        for reset, step in zip(
+            result.reading.resets, expected.get("reset_steps", []), strict=True
+        ):
             np.testing.assert_allclose(reset[1:], step, atol=1e-4)
-        stamps = [item.stamp_ns / 1e9 for item in found.reading.resets]
+        stamps = [item.stamp_ns / 1e9 for item in result.reading.resets]
         assert stamps == expected.get("resets_s", [])
         compared += 1
     assert compared == 9
@@ -457,12 +461,12 @@ def test_errors_equal_the_reference() -> None:
         for name, expected in known.items():
             estimate = read_trajectory(f"{DATA / log}:{name}")
             for gauge in ("none", "yaw", "se3"):
-                found = evaluate(truth, estimate, Protocol(gauge=gauge)).ate
+                result = evaluate(truth, estimate, Protocol(gauge=gauge)).ate
                 values = expected["errors"][gauge]
-                assert found["position_m"].rmse == pytest.approx(
+                assert result["position_m"].rmse == pytest.approx(
                     values["position_rmse_m"], abs=1e-9
                 )
-                assert found["rotation_deg"].rmse == pytest.approx(
+                assert result["rotation_deg"].rmse == pytest.approx(
                     values["rotation_rmse_deg"], abs=1e-6
                 )
 
@@ -478,13 +482,13 @@ def test_errors_equal_the_reference() -> None:
 )
 def test_bags_with_and_without_definitions_equal_the_log(bag: str, log: str) -> None:
     for topic in ("out/vehicle_odometry", "in/vehicle_visual_odometry"):
-        found = read_trajectory(f"{DATA / bag}:/fmu/{topic}")
+        result = read_trajectory(f"{DATA / bag}:/fmu/{topic}")
         logged = read_trajectory(f"{DATA / log}:{topic.rpartition('/')[2]}")
-        assert (found.stamps - logged.stamps == 1_750_000_000 * 10**9).all()
+        assert (result.stamps - logged.stamps == 1_750_000_000 * 10**9).all()
         for name in ("positions", "quaternions", "velocities", "covariances"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(logged, name))
-        assert found.reading.dropped == logged.reading.dropped
-        assert [reset[1:] for reset in found.reading.resets] == [
+            np.testing.assert_array_equal(getattr(result, name), getattr(logged, name))
+        assert result.reading.dropped == logged.reading.dropped
+        assert [reset[1:] for reset in result.reading.resets] == [
             reset[1:] for reset in logged.reading.resets
         ]
 
@@ -503,10 +507,10 @@ def test_a_cut_log_is_read_up_to_its_end(tmp_path: Path) -> None:
     raw = (DATA / "synthetic_1_16.ulg").read_bytes()
     path = tmp_path / "cut.ulg"
     path.write_bytes(raw[:700_000])
-    found = read_trajectory(f"{path}:vehicle_odometry")
+    result = read_trajectory(f"{path}:vehicle_odometry")
     whole = read_trajectory(f"{DATA / 'synthetic_1_16.ulg'}:vehicle_odometry")
-    np.testing.assert_array_equal(found.positions, whole.positions[: len(found)])
-    assert len(found) == 1555
-    assert "its last 27 bytes are truncated" in "; ".join(found.reading.messages(Level.ERROR))
+    np.testing.assert_array_equal(result.positions, whole.positions[: len(result)])
+    assert len(result) == 1555
+    assert "its last 27 bytes are truncated" in "; ".join(result.reading.messages(Level.ERROR))
     with pytest.raises(InputError, match="27 bytes"):
         read_trajectory(f"{path}:vehicle_odometry", strict=True)

@@ -41,8 +41,8 @@ def test_the_formula_by_hand(wave_m: float) -> None:
     spread = (4.0 * bound * mean + 2.0 * bound**2) / 3.0 / number
     spread += 0.4 * np.var(parts, ddof=1) / 20.0
     reach = 1.959964 * np.sqrt(spread)
-    found = ate_interval(TIMES, errors, np.full(1000, variance), supported, sigma_m, STEP_S)
-    assert found == pytest.approx(np.sqrt([mean - bound - reach, mean + reach]), rel=1e-4)
+    result = ate_interval(TIMES, errors, np.full(1000, variance), supported, sigma_m, STEP_S)
+    assert result == pytest.approx(np.sqrt([mean - bound - reach, mean + reach]), rel=1e-4)
     assert when[-1] < 30.0
 
 
@@ -58,9 +58,9 @@ def test_a_model_less_sure_than_samples_counts_instead_of_them() -> None:
 def interval_of(
     errors: np.ndarray, supported: np.ndarray, variances: np.ndarray, sigma_m: float = 0.002
 ) -> tuple[float, float]:
-    found = ate_interval(TIMES, errors, variances, supported, sigma_m, STEP_S)
-    assert found is not None
-    return found
+    result = ate_interval(TIMES, errors, variances, supported, sigma_m, STEP_S)
+    assert result is not None
+    return result
 
 
 def test_what_is_not_supported_has_no_variance_that_counts() -> None:
@@ -86,9 +86,9 @@ def test_samples_faster_than_poses_are_no_finer_than_these() -> None:
 
 def test_fewer_poses_than_stretches_have_an_interval() -> None:
     times, supported = np.arange(20.0), np.arange(20) < 15
-    found = ate_interval(times, errors_of(9)[::50], np.full(20, 1e-6), supported, 0.001, 1.0)
-    assert found is not None
-    assert np.isfinite(found).all()
+    result = ate_interval(times, errors_of(9)[::50], np.full(20, 1e-6), supported, 0.001, 1.0)
+    assert result is not None
+    assert np.isfinite(result).all()
 
 
 @given(seed=seeds, factor=st.floats(0.01, 100.0))
@@ -165,7 +165,7 @@ def test_how_many_independent_values() -> None:
 def test_it_covers_the_true_ate_where_noise_and_motion_are_hard(
     motion: str, noise: str, size_m: float
 ) -> None:
-    found = [item for seed in range(5000, 5020) for item in flown(motion, noise, size_m, seed)]
-    known = [item.covers for item in found if item.interval_m is not None]
-    assert len(known) >= 0.5 * len(found)
+    result = [item for seed in range(5000, 5020) for item in flown(motion, noise, size_m, seed)]
+    known = [item.covers for item in result if item.interval_m is not None]
+    assert len(known) >= 0.5 * len(result)
     assert np.mean(known) >= 0.9

@@ -33,8 +33,8 @@ class Dense:
 
     def solve(self, errors: Array) -> Array:
         count, axes, width = errors.shape
-        found = np.linalg.solve(self.covariance, errors.reshape(count * axes, width))
-        return np.asarray(found.reshape(errors.shape))
+        result = np.linalg.solve(self.covariance, errors.reshape(count * axes, width))
+        return np.asarray(result.reshape(errors.shape))
 
     def log_density(self, errors: Array) -> float:
         return float(multivariate_normal.logpdf(errors.ravel(), cov=self.covariance))
@@ -52,8 +52,8 @@ def test_correlated_groundtruth_has_exact_normal_equations(gauge: Gauge) -> None
 
     def errors(delta: Array) -> tuple[Array, Array]:
         moved = act(chart.elements(delta[None])[0], estimate)
-        turns = so3.log(se3.transposed(poses[:, :3, :3]) @ moved[:, :3, :3])
-        return moved[:, :3, 3] - poses[:, :3, 3], turns
+        rotation_list = so3.log(se3.transposed(poses[:, :3, :3]) @ moved[:, :3, :3])
+        return moved[:, :3, 3] - poses[:, :3, 3], rotation_list
 
     size = chart.dimension
     information, gradient = correlated_groundtruth._normal_equations(groundtruth, estimate, chart)
@@ -77,20 +77,22 @@ def test_correlated_groundtruth_has_exact_normal_equations(gauge: Gauge) -> None
 def test_joint_likelihoods_without_a_gauge_are_gaussian() -> None:
     times = np.arange(12.0)
     line = np.outer(times, [1.0, 0.3, 0.1])
-    turns = np.outer(times, [0.0, 0.0, 0.1])
-    samples = Samples(0, times, se3.poses(so3.exp(turns), line), True, Noise(0.01, 0.01))
+    rotations = np.outer(times, [0.0, 0.0, 0.1])
+    samples = Samples(0, times, se3.poses(so3.exp(rotations), line), True, Noise(0.01, 0.01))
     model, asked = MarkovPoses.fit(samples, 2), np.array([2.2, 4.5, 4.9, 8.3])
     groundtruth = CorrelatedGroundtruth.of(model, asked, Noise(0.05, 0.02))
     generator = np.random.default_rng(0)
     estimate = groundtruth.poses @ se3.exp(0.02 * generator.normal(size=(4, 6)))
-    found = joint_log_likelihood(groundtruth, estimate, Gauge.NONE, np.eye(4))
+    result = joint_log_likelihood(groundtruth, estimate, Gauge.NONE, np.eye(4))
     apart = estimate[:, :3, 3] - groundtruth.poses[:, :3, 3]
-    turned = so3.log(se3.transposed(groundtruth.poses[:, :3, :3]) @ estimate[:, :3, :3])
+    rotated = so3.log(se3.transposed(groundtruth.poses[:, :3, :3]) @ estimate[:, :3, :3])
     assert groundtruth.rotations is not None
-    expected = groundtruth.positions.log_density(apart) + groundtruth.rotations.log_density(turned)
+    expected = groundtruth.positions.log_density(apart) + groundtruth.rotations.log_density(
+        rotated
+    )
     # Densities are by the volume of the group of rotations.
-    expected -= sum(np.linalg.slogdet(so3.left_jacobian(item))[1] for item in turned)
-    assert found == pytest.approx(expected, rel=1e-10)
+    expected -= sum(np.linalg.slogdet(so3.left_jacobian(item))[1] for item in rotated)
+    assert result == pytest.approx(expected, rel=1e-10)
     # Positions: over all translations, the sum of which has a Gaussian integral.
     bare = dataclasses.replace(groundtruth, rotations=None)
     moved = joint_log_likelihood(bare, estimate, Gauge.TRANSLATION, np.eye(4))

@@ -177,18 +177,18 @@ def test_conditions_are_gaussian_densities_at_zero() -> None:
 
 def test_conditions_have_the_scale_and_the_tilt_of_the_alignment() -> None:
     belief = belief_of(8, 30)
-    turn = so3.exp(np.array([0.0, 0.0, 0.9])) @ so3.exp(np.array([0.02, -0.03, 0.0]))
-    element = se3.poses(1.05 * turn, np.array([1.0, 2.0, 3.0]))
+    rotation = so3.exp(np.array([0.0, 0.0, 0.9])) @ so3.exp(np.array([0.02, -0.03, 0.0]))
+    element = se3.poses(1.05 * rotation, np.array([1.0, 2.0, 3.0]))
     estimate = act(np.linalg.inv(element), belief.poses)
     error = generalised_absolute_error(Residuals(belief, estimate, Gauge.SIM3))
     scale = _scale_of(error)
     assert scale.values[0] == pytest.approx(np.log(1.05), abs=1e-7)
     assert scale.sigmas[0] == pytest.approx(np.sqrt(error.covariance[6, 6]))
-    rigid = act(np.linalg.inv(se3.poses(turn, np.ones(3))), belief.poses)
+    rigid = act(np.linalg.inv(se3.poses(rotation, np.ones(3))), belief.poses)
     error = generalised_absolute_error(Residuals(belief, rigid, Gauge.SE3))
     tilt = _tilt_of(error)
     # The yaw is taken away on the right.
-    level = turn @ so3.rot_z(-float(so3.yaw_of_matrix(turn)))
+    level = rotation @ so3.rot_z(-float(so3.yaw_of_matrix(rotation)))
     np.testing.assert_allclose(tilt.values, so3.log(level)[:2], atol=1e-7)
     np.testing.assert_allclose(tilt.sigmas, np.sqrt(np.diag(error.covariance))[3:5])
 

@@ -113,21 +113,21 @@ def test_without_a_scale_the_reason_is_stated() -> None:
         )
         noise = noise_m * np.random.default_rng(1).normal(size=(len(times), 3))
         half = 0.1 * times + 0.5 * turn_rad
-        turns = np.stack([0.0 * times, 0.0 * times, np.sin(half), np.cos(half)], axis=1)
-        return Trajectory((1e9 * times).astype(np.int64), path.T + noise, turns)
+        rotations = np.stack([0.0 * times, 0.0 * times, np.sin(half), np.cos(half)], axis=1)
+        return Trajectory((1e9 * times).astype(np.int64), path.T + noise, rotations)
 
     groundtruth, estimate = moving(2.0, 2.2, 0.0), moving(10.0, 0.0, 0.01)
     rule = AssociationRule("continuous")
     for gauge in ("yaw", "se3"):
         protocol = Protocol(gauge=gauge, association=rule, lengths=())
-        found = assess_likelihood(evaluate(groundtruth, estimate, protocol))
-        assert found.gauge_scores is not None
-        assert found.gauge_scores.sim3 is None
-        [said] = [statement for statement in found.statements if "sim3" in statement]
-        assert said.startswith("no likelihood in gauge sim3: the most likely scale is zero")
-        has_ate = found.ate.supported_m is not None
+        result = assess_likelihood(evaluate(groundtruth, estimate, protocol))
+        assert result.gauge_scores is not None
+        assert result.gauge_scores.sim3 is None
+        [text] = [statement for statement in result.statements if "sim3" in statement]
+        assert text.startswith("no likelihood in gauge sim3: the most likely scale is zero")
+        has_ate = result.ate.supported_m is not None
         assert has_ate is not any(
-            "no ATE of supported" in statement for statement in found.statements
+            "no ATE of supported" in statement for statement in result.statements
         )
     protocol = Protocol(gauge="sim3", association=rule, lengths=())
     with pytest.raises(DegenerateGeometryError, match="--hand-eye auto"):

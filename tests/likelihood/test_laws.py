@@ -40,8 +40,8 @@ def flight(count: int, seed: int) -> Array:
     time = np.linspace(0.0, 0.2 * count, count)[:, None]
     phase = random.uniform(0.0, 2.0 * np.pi, size=(2, 3))
     positions = [4.0, 3.0, 1.0] * np.sin(time * [0.31, 0.38, 0.27] + phase[0])
-    turns = [0.2, 0.2, 1.4] * np.sin(time * [1.1, 1.3, 0.3] + phase[1])
-    return se3.exp(np.concatenate([positions, turns], axis=1))
+    rotations = [0.2, 0.2, 1.4] * np.sin(time * [1.1, 1.3, 0.3] + phase[1])
+    return se3.exp(np.concatenate([positions, rotations], axis=1))
 
 
 def spread(random: np.random.Generator, count: int, sigma_m: float, sigma_rad: float) -> Array:
@@ -101,7 +101,7 @@ def test_the_papers_own_transport_breaks_the_identity() -> None:
 @given(seed=seeds, count=st.integers(3, 8))
 def test_edges_add_up_to_the_dense_density_eq_17(seed: int, count: int) -> None:
     belief, estimate = drawn(count, seed, 0.03)
-    found = first_order.generalised_relative_error(belief, estimate)
+    result = first_order.generalised_relative_error(belief, estimate)
     carriers = relative_density.transports(belief.poses)
     step = np.zeros((6 * count - 6, 6 * count))
     for row in range(count - 1):
@@ -116,8 +116,8 @@ def test_edges_add_up_to_the_dense_density_eq_17(seed: int, count: int) -> None:
     dense = multivariate_normal.logpdf(
         errors.ravel(), np.zeros(6 * count - 6), step @ blocks @ step.T
     )
-    assert found.log_likelihood == pytest.approx(dense, rel=1e-10, abs=1e-8)
-    assert np.sum(found.edges) == pytest.approx(found.log_likelihood, rel=1e-12)
+    assert result.log_likelihood == pytest.approx(dense, rel=1e-10, abs=1e-8)
+    assert np.sum(result.edges) == pytest.approx(result.log_likelihood, rel=1e-12)
     # Q of eq. (14) is the matrix above.
     stepwise = relative_density.stepwise(carriers, errors[[0, *range(count - 1)]])
     np.testing.assert_allclose(
@@ -227,12 +227,14 @@ def test_gradient_is_exact_and_vanishes_at_the_mode(gauge: Gauge, density: str, 
         near = near @ generalised_absolute_error(residuals).mode.element
     else:
         near = element
-    found = residuals.slope(near).gradient
-    for axis, value in enumerate(found):
-        steps = np.zeros((2, len(found)))
+    result = residuals.slope(near).gradient
+    for axis, value in enumerate(result):
+        steps = np.zeros((2, len(result)))
         steps[:, axis] = 1e-5, -1e-5
         up, down = residuals.log_density(residuals.chart.elements(steps) @ near)
-        assert value == pytest.approx((up - down) / 2e-5, rel=1e-7, abs=1e-7 * np.abs(found).max())
+        assert value == pytest.approx(
+            (up - down) / 2e-5, rel=1e-7, abs=1e-7 * np.abs(result).max()
+        )
     mode = generalised_absolute_error(residuals).mode
     sigma = 1.0 / np.sqrt(np.diag(mode.slope.information))
     assert np.abs(mode.slope.gradient * sigma).max() < 1e-8
@@ -254,8 +256,8 @@ def test_relinearised_edges_add_up_to_the_exact_error() -> None:
         error = generalised_absolute_error(PaperResiduals(belief, estimate, Gauge.SE3))
         residuals = error.residuals.at(error.mode.element)
         steps = relative_density.stepwise(relative_density.transports(belief.poses), residuals)
-        found = relative_density.decomposed(belief, steps).log_likelihood
-        assert found == pytest.approx(error.log_likelihood, abs=1e-2)
+        result = relative_density.decomposed(belief, steps).log_likelihood
+        assert result == pytest.approx(error.log_likelihood, abs=1e-2)
         literal = first_order.generalised_relative_error(belief, estimate).log_likelihood
         assert abs(literal - error.log_likelihood) > 0.3
 
@@ -386,15 +388,15 @@ def test_likelihoods_do_not_depend_on_the_distance_from_the_origin(distance_m: f
         return se3.poses(poses[:, :3, :3], poses[:, :3, 3] + distance_m * np.array([1, -0.7, 0]))
 
     far = Belief(moved(belief.poses), belief.covariances)
-    found = generalised_absolute_error(Residuals(far, moved(estimate), Gauge.SE3))
-    assert found.log_likelihood == pytest.approx(near.log_likelihood, abs=1e-12 * distance_m)
-    np.testing.assert_allclose(found.information, near.information, rtol=1e-6, atol=1.0)
+    result = generalised_absolute_error(Residuals(far, moved(estimate), Gauge.SE3))
+    assert result.log_likelihood == pytest.approx(near.log_likelihood, abs=1e-12 * distance_m)
+    np.testing.assert_allclose(result.information, near.information, rtol=1e-6, atol=1.0)
 
 
 def test_an_information_that_is_not_positive_definite_is_an_error() -> None:
     belief, estimate = drawn(20, 1, 0.02)
-    found = generalised_absolute_error(Residuals(belief, estimate, Gauge.SE3))
-    wrong = found.information.copy()
+    result = generalised_absolute_error(Residuals(belief, estimate, Gauge.SE3))
+    wrong = result.information.copy()
     wrong[0, 0] *= -1.0
     with pytest.raises(DegenerateGeometryError, match="do not determine all directions"):
-        laplace(found.mode, wrong)
+        laplace(result.mode, wrong)

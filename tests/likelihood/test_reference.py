@@ -45,19 +45,19 @@ def test_relative_error_of_eq_10_to_17(numbers: Any) -> None:
     diagonal, lower = relative_density.relative_covariance(carriers, belief.covariances)
     np.testing.assert_allclose(diagonal, case["Vr_diag"], **TIGHT)
     np.testing.assert_allclose(se3.transposed(lower), case["Vr_upper"], **TIGHT)
-    found = first_order.generalised_relative_error(belief, estimate)
-    np.testing.assert_allclose(found.whitened, case["whitened"], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found.edges, case["per_edge_prequential_logp"], rtol=1e-9)
-    assert found.log_likelihood == pytest.approx(case["log_P_RE_mp"], rel=1e-11)
+    result = first_order.generalised_relative_error(belief, estimate)
+    np.testing.assert_allclose(result.whitened, case["whitened"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(result.edges, case["per_edge_prequential_logp"], rtol=1e-9)
+    assert result.log_likelihood == pytest.approx(case["log_P_RE_mp"], rel=1e-11)
 
 
 def test_first_order_absolute_error_of_eq_28(numbers: Any) -> None:
     belief, estimate, case = metric_case(numbers, "se3")
-    found = first_order.first_order_absolute_error(belief, estimate)
-    assert found.log_likelihood == pytest.approx(case["log_S_AE_mp"], rel=1e-12)
-    np.testing.assert_allclose(found.mean, case["S_AE_gauge_mean_centroid_frame"], rtol=1e-9)
+    result = first_order.first_order_absolute_error(belief, estimate)
+    assert result.log_likelihood == pytest.approx(case["log_S_AE_mp"], rel=1e-12)
+    np.testing.assert_allclose(result.mean, case["S_AE_gauge_mean_centroid_frame"], rtol=1e-9)
     np.testing.assert_allclose(
-        found.information, case["S_AE_gauge_information_centroid_frame"], rtol=1e-11, atol=1e-8
+        result.information, case["S_AE_gauge_information_centroid_frame"], rtol=1e-11, atol=1e-8
     )
 
 
@@ -67,19 +67,19 @@ def test_absolute_error_of_eq_19(numbers: Any, name: str, density: str) -> None:
     belief, estimate, case = metric_case(numbers, name)
     expected = case[density]
     residuals = DENSITIES[density](belief, estimate, GAUGES[name])
-    found = generalised_absolute_error(residuals)
-    mode, scale = found.mode.element, scales(found.mode.element)
+    result = generalised_absolute_error(residuals)
+    mode, scale = result.mode.element, scales(result.mode.element)
     assert scale == pytest.approx(expected["mode_scale"], abs=1e-9)
     np.testing.assert_allclose(mode[:3, :3] / scale, expected["mode_R"], atol=1e-9)
     np.testing.assert_allclose(mode[:3, 3], expected["mode_t"], atol=1e-9)
-    assert found.mode.log_density == pytest.approx(expected["logf_mode"], abs=1e-9)
-    approximate = laplace(found.mode, found.mode.slope.information)
+    assert result.mode.log_density == pytest.approx(expected["logf_mode"], abs=1e-9)
+    approximate = laplace(result.mode, result.mode.slope.information)
     assert approximate == pytest.approx(expected["log_L_laplace_gn"], abs=1e-9)
-    np.testing.assert_allclose(found.information, expected["H_full"], rtol=1e-6, atol=1e-3)
-    assert found.log_likelihood == pytest.approx(expected["log_L_laplace_full"], abs=1e-9)
-    np.testing.assert_allclose(residuals.at(found.mode.element), expected["eps_mode"], atol=1e-9)
-    np.testing.assert_allclose(found.mahalanobis2, expected["mahalanobis2_per_pose"], rtol=1e-7)
-    assert found.mahalanobis2.sum() == pytest.approx(expected["nees_total"], rel=1e-9)
+    np.testing.assert_allclose(result.information, expected["H_full"], rtol=1e-6, atol=1e-3)
+    assert result.log_likelihood == pytest.approx(expected["log_L_laplace_full"], abs=1e-9)
+    np.testing.assert_allclose(residuals.at(result.mode.element), expected["eps_mode"], atol=1e-9)
+    np.testing.assert_allclose(result.mahalanobis2, expected["mahalanobis2_per_pose"], rtol=1e-7)
+    assert result.mahalanobis2.sum() == pytest.approx(expected["nees_total"], rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -94,8 +94,8 @@ def test_absolute_error_of_eq_19(numbers: Any, name: str, density: str) -> None:
 def test_quadrature_of_eq_19(numbers: Any, name: str, density: str) -> None:
     belief, estimate, case = metric_case(numbers, name)
     residuals = DENSITIES[density](belief, estimate, GAUGES[name])
-    found = generalised_absolute_error(residuals)
-    value = by_quadrature(found, NODES[name])
+    result = generalised_absolute_error(residuals)
+    value = by_quadrature(result, NODES[name])
     assert value == pytest.approx(case[density]["log_L_quadrature"], abs=1e-9)
 
 
@@ -106,8 +106,8 @@ def test_positions_alone(numbers: Any, place: int) -> None:
     gauge = GAUGES[case["gauge"]]
     truth = np.array(given["P_gt"])
     estimate = np.array(given[f"P_est_{case['gauge']}"])
-    found = position_error(truth, estimate, case["sigma"], gauge)
-    assert found == pytest.approx(case["log_L_exact"], rel=1e-11, abs=1e-9)
+    result = position_error(truth, estimate, case["sigma"], gauge)
+    assert result == pytest.approx(case["log_L_exact"], rel=1e-11, abs=1e-9)
     covariances = np.tile(np.diag([case["sigma"] ** 2] * 3 + [0.0] * 3), (len(truth), 1, 1))
     residuals = Residuals(
         Belief(se3.poses(np.eye(3), truth), covariances),

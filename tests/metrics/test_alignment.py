@@ -46,12 +46,12 @@ def sample_rmse(similarity: Similarity, p: Array, q: Array) -> float:
 def test_an_element_of_the_gauge_is_found_again(gauge: Gauge, seed: int) -> None:
     q, _ = points(seed)
     element = make_element(gauge, seed + 2)
-    found = align(gauge, element.positions(q), q)
-    assert found.states_used == len(q)
-    assert found.undetermined == ""
-    np.testing.assert_allclose(found.similarity.rotation, element.rotation, atol=1e-12)
-    np.testing.assert_allclose(found.similarity.translation, element.translation, atol=1e-10)
-    assert found.similarity.scale == pytest.approx(element.scale, rel=1e-12)
+    result = align(gauge, element.positions(q), q)
+    assert result.states_used == len(q)
+    assert result.undetermined == ""
+    np.testing.assert_allclose(result.similarity.rotation, element.rotation, atol=1e-12)
+    np.testing.assert_allclose(result.similarity.translation, element.translation, atol=1e-10)
+    assert result.similarity.scale == pytest.approx(element.scale, rel=1e-12)
 
 
 @pytest.mark.parametrize("gauge", list(Gauge))
@@ -114,32 +114,32 @@ def test_the_first_state_alone_fixes_se3(seed: int) -> None:
     inverse = Similarity(element.rotation.T, -element.rotation.T @ element.translation)
     other = inverse.trajectory(truth)
     assert other.quaternions is not None
-    found = align_first(
+    result = align_first(
         Gauge.SE3,
         truth.positions[0],
         truth.quaternions[0],
         other.positions[0],
         other.quaternions[0],
     ).similarity
-    np.testing.assert_allclose(found.rotation, element.rotation, atol=1e-13)
-    np.testing.assert_allclose(found.translation, element.translation, atol=1e-11)
+    np.testing.assert_allclose(result.rotation, element.rotation, atol=1e-13)
+    np.testing.assert_allclose(result.translation, element.translation, atol=1e-11)
 
 
 @given(a=seeds, b=seeds)
 def test_the_first_states_yaw_brings_the_rotations_closest(a: int, b: int) -> None:
     truth, other = (Rotation.random(random_state=seed % 2**31) for seed in (a, b))
-    found = align_first(
+    result = align_first(
         Gauge.YAW, np.ones(3), truth.as_quat(), np.zeros(3), other.as_quat()
     ).similarity
 
     def trace(angle: float) -> float:  # eq. (20)
-        turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-        return float(np.trace(turn @ other.as_matrix() @ truth.as_matrix().T))
+        rotation = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+        return float(np.trace(rotation @ other.as_matrix() @ truth.as_matrix().T))
 
-    angle = np.arctan2(found.rotation[1, 0], found.rotation[0, 0])
+    angle = np.arctan2(result.rotation[1, 0], result.rotation[0, 0])
     assert all(trace(angle) >= trace(item) - 1e-12 for item in np.linspace(-np.pi, np.pi, 73))
-    np.testing.assert_array_equal(found.rotation[2], [0.0, 0.0, 1.0])
-    np.testing.assert_allclose(found.translation, np.ones(3))
+    np.testing.assert_array_equal(result.rotation[2], [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(result.translation, np.ones(3))
 
 
 @pytest.mark.parametrize("gauge", list(Gauge))
@@ -196,8 +196,8 @@ def test_merging_moments_is_associative_and_the_empty_ones_are_its_zero(
         (a - a, zero),
     ):
         for name in ("weight", "mean", "scatter"):
-            ours, theirs = getattr(left, name), getattr(right, name)
-            np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-10, err_msg=name)
+            actual, theirs = getattr(left, name), getattr(right, name)
+            np.testing.assert_allclose(actual, theirs, rtol=1e-12, atol=1e-10, err_msg=name)
 
 
 def test_a_window_can_slide_for_long() -> None:

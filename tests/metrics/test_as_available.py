@@ -51,9 +51,9 @@ def received(
 
 
 def measured(groundtruth: Trajectory, estimate: Trajectory, motion: str = "hold") -> AsAvailable:
-    found = as_available(groundtruth, estimate, IDENTITY, AvailabilityRule(motion), 0.5)
-    assert not found.numbers.why_withheld
-    return found
+    result = as_available(groundtruth, estimate, IDENTITY, AvailabilityRule(motion), 0.5)
+    assert not result.numbers.why_withheld
+    return result
 
 
 def errors(found: AsAvailable) -> tuple[np.ndarray, np.ndarray]:
@@ -82,13 +82,13 @@ def on_line(gap: tuple[float, float] | None = None) -> tuple[Trajectory, Traject
 
 
 def test_held_pose_on_a_line_is_behind_by_speed_times_age() -> None:
-    found = measured(*on_line())
-    assert found.samples is not None
-    phase_s = (found.samples.stamps - 80_000_000) % (SECOND // RATE_HZ) / SECOND
+    result = measured(*on_line())
+    assert result.samples is not None
+    phase_s = (result.samples.stamps - 80_000_000) % (SECOND // RATE_HZ) / SECOND
     expected = V * (LATENCY_S + phase_s)
-    np.testing.assert_allclose(np.linalg.norm(errors(found)[0], axis=1), expected, atol=1e-12)
-    late = found.samples.stamps > SECOND
-    mean = np.linalg.norm(errors(found)[0], axis=1)[late].mean()
+    np.testing.assert_allclose(np.linalg.norm(errors(result)[0], axis=1), expected, atol=1e-12)
+    late = result.samples.stamps > SECOND
+    mean = np.linalg.norm(errors(result)[0], axis=1)[late].mean()
     assert mean == pytest.approx(V * (LATENCY_S + (1 / RATE_HZ - 0.01) / 2), abs=1e-9)
 
 
@@ -129,16 +129,16 @@ def test_every_message_has_a_latency_and_all_but_the_first_an_interval() -> None
 
 
 def test_dropout_is_counted_beyond_two_usual_intervals() -> None:
-    found = measured(*on_line((20.0, 22.0)))
-    assert found.samples is not None
-    assert found.numbers.position_m is not None
-    assert found.numbers.position_m.max == pytest.approx(V * (2.0 + 0.08 - 0.01), abs=1e-9)
-    dropout = np.linalg.norm(found.samples.position[2], axis=1)
+    result = measured(*on_line((20.0, 22.0)))
+    assert result.samples is not None
+    assert result.numbers.position_m is not None
+    assert result.numbers.position_m.max == pytest.approx(V * (2.0 + 0.08 - 0.01), abs=1e-9)
+    dropout = np.linalg.norm(result.samples.position[2], axis=1)
     assert dropout.max() == pytest.approx(V * (2.0 - 2 / 20 - 0.01), abs=1e-9)
-    assert found.numbers.dropouts is not None
-    assert dataclasses.astuple(found.numbers.dropouts) == (1, 2.0, 2.0)
-    assert found.numbers.missed_deadlines is not None
-    assert found.numbers.missed_deadlines.longest_s == pytest.approx(2.0 + 0.08 - 0.1, abs=0.011)
+    assert result.numbers.dropouts is not None
+    assert dataclasses.astuple(result.numbers.dropouts) == (1, 2.0, 2.0)
+    assert result.numbers.missed_deadlines is not None
+    assert result.numbers.missed_deadlines.longest_s == pytest.approx(2.0 + 0.08 - 0.1, abs=0.011)
 
 
 TURN, RADIUS = 0.75, 2.0
@@ -148,8 +148,8 @@ def circle(stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     angle = TURN * stamps / SECOND
     zero = np.zeros(len(stamps))
     positions = np.column_stack([RADIUS * np.sin(angle), RADIUS * (1 - np.cos(angle)), zero])
-    turned = lie.from_rotation_vector(np.column_stack([zero, zero, angle]))
-    return positions, turned
+    rotated = lie.from_rotation_vector(np.column_stack([zero, zero, angle]))
+    return positions, rotated
 
 
 def on_circle(turn: float = TURN) -> tuple[Trajectory, Trajectory]:
@@ -157,29 +157,29 @@ def on_circle(turn: float = TURN) -> tuple[Trajectory, Trajectory]:
     fine = np.arange(0, 30 * SECOND, SECOND // 100)
     stamps = np.arange(0, 30 * SECOND, SECOND // 10)
     times = stamps + 130_000_000
-    positions, turned = circle(stamps)
+    positions, rotated = circle(stamps)
     forwards = np.tile([RADIUS * TURN, 0.0, 0.0], (len(stamps), 1))
     rates = np.tile([0.0, 0.0, turn], (len(stamps), 1))
-    velocities = lie.rotate(turned, forwards)
+    velocities = lie.rotate(rotated, forwards)
     truth = Trajectory(fine, *circle(fine))
-    return truth, received(stamps, positions, turned, times, velocities, rates)
+    return truth, received(stamps, positions, rotated, times, velocities, rates)
 
 
 @pytest.mark.parametrize("motion", ["constant", "twist"])
 def test_prediction_on_a_circle_has_no_error(motion: str) -> None:
-    found = measured(*on_circle(), motion)
-    assert found.samples is not None
-    second = found.samples.rows > 0
-    for error in errors(found):
+    result = measured(*on_circle(), motion)
+    assert result.samples is not None
+    second = result.samples.rows > 0
+    for error in errors(result):
         assert np.abs(error[second]).max() < 1e-12
 
 
 def test_velocity_without_turn_leaves_the_circle() -> None:
-    found = measured(*on_circle(turn=0.0), "twist")
-    assert found.samples is not None
-    angle = TURN * found.samples.age / SECOND
+    result = measured(*on_circle(turn=0.0), "twist")
+    assert result.samples is not None
+    angle = TURN * result.samples.age / SECOND
     expected = RADIUS * np.hypot(np.cos(angle) - 1, np.sin(angle) - angle)
-    np.testing.assert_allclose(np.linalg.norm(errors(found)[0], axis=1), expected, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(errors(result)[0], axis=1), expected, atol=1e-12)
 
 
 def rough(seed: int, count: int = 900) -> tuple[Trajectory, Trajectory]:
@@ -189,10 +189,10 @@ def rough(seed: int, count: int = 900) -> tuple[Trajectory, Trajectory]:
     fine = begin + np.arange(0, 40 * SECOND, SECOND // 100)
     x = (fine - begin) / SECOND
     places = np.column_stack([3 * np.sin(0.7 * x), 2 * np.sin(1.1 * x), 0.3 * x])
-    turns = lie.from_rotation_vector(
+    rotations = lie.from_rotation_vector(
         np.column_stack([0.3 * np.sin(x), 0.2 * np.sin(0.9 * x), 0.8 * np.sin(0.5 * x)])
     )
-    truth = Trajectory(fine, places, turns)
+    truth = Trajectory(fine, places, rotations)
     every = np.arange(begin, begin + 39 * SECOND, SECOND // 30)
     stamps = np.sort(random.choice(every, count, replace=False))
     stamps = stamps[(stamps < begin + 15 * SECOND) | (stamps > begin + 18 * SECOND)]
@@ -209,8 +209,8 @@ def rough(seed: int, count: int = 900) -> tuple[Trajectory, Trajectory]:
 @given(st.integers(0, 10**6), st.sampled_from(["hold", "constant"]))
 def test_parts_shares_and_ages_add_up(seed: int, motion: str) -> None:
     truth, estimate = rough(seed)
-    found = measured(truth, estimate, motion)
-    samples, numbers = found.samples, found.numbers
+    result = measured(truth, estimate, motion)
+    samples, numbers = result.samples, result.numbers
     assert samples is not None
     messages = samples.messages
     assert numbers.parts is not None
@@ -230,11 +230,11 @@ def test_parts_shares_and_ages_add_up(seed: int, motion: str) -> None:
 @given(st.integers(0, 10**6))
 def test_no_later_message_is_older_and_none_is_used_before_its_reception(seed: int) -> None:
     truth, estimate = rough(seed)
-    found = measured(truth, estimate)
-    assert found.samples is not None
+    result = measured(truth, estimate)
+    assert result.samples is not None
     receptions = estimate.reading.receptions
     assert receptions is not None
-    for stamp, age in zip(found.samples.stamps[::97], found.samples.age[::97], strict=True):
+    for stamp, age in zip(result.samples.stamps[::97], result.samples.age[::97], strict=True):
         had = receptions.times <= stamp
         assert stamp - age == estimate.stamps[had].max()
 
@@ -267,34 +267,34 @@ def test_corrected_pose_acts_from_its_reception_and_keeps_the_age_of_its_pose() 
     corrected = np.array([500, 1_500, 1_500]) * 10**6
     positions = np.column_stack([[1.0, 5.0, 6.0], np.zeros((3, 2))])
     reading = SourceInfo(receptions=ReceiveTimes(times, corrected=corrected))
-    found = measured(truth, Trajectory(stamps, positions, reading=reading))
-    samples = found.samples
+    result = measured(truth, Trajectory(stamps, positions, reading=reading))
+    samples = result.samples
     assert samples is not None
     error = samples.position.sum(axis=0)[:, 0]
     at = {round(stamp / 10**6): row for row, stamp in enumerate(samples.stamps.tolist())}
     for ms, place in ((1_490, 1.0), (1_500, 5.0), (2_090, 5.0), (2_100, 6.0)):
         assert error[at[ms]] == pytest.approx(V * ms / 1000 - place)
     assert samples.age[at[1_500]] == 500 * 10**6
-    assert found.numbers.corrections is not None
-    ages = found.numbers.corrections["age_s"]
+    assert result.numbers.corrections is not None
+    ages = result.numbers.corrections["age_s"]
     assert ages is not None
     assert ages.min == 0.0
 
 
 def numbers_of(numbers: Availability) -> dict[str, Any]:
     """Return the numbers by the names of the reference."""
-    found = dataclasses.asdict(numbers)
+    result = dataclasses.asdict(numbers)
     assert numbers.parts is not None
     return {
         "samples": numbers.samples,
         "late": numbers.late_messages,
         "without_groundtruth": numbers.without_groundtruth,
         "none_yet_s": numbers.time_to_first_pose_s,
-        "position_m": found["position_m"],
-        "rotation_deg": found["rotation_deg"],
-        "moved_m": found["age_error_m"],
-        "turned_deg": found["age_error_deg"],
-        "age_s": found["age_s"],
+        "position_m": result["position_m"],
+        "rotation_deg": result["rotation_deg"],
+        "moved_m": result["age_error_m"],
+        "turned_deg": result["age_error_deg"],
+        "age_s": result["age_s"],
         "available_share": numbers.available_percent / 100.0,
         "parts_rmse_m": {name: part.rmse_m for name, part in numbers.parts.items()},
         "parts_share": {name: part.share for name, part in numbers.parts.items()},
@@ -331,18 +331,18 @@ def test_reference(case: dict[str, Any]) -> None:
     )
     estimate = dataclasses.replace(estimate, reading=reading)
     evaluation = evaluate(truth, estimate, Protocol(modality="stereo", lengths=()))
-    found = as_available(
+    result = as_available(
         evaluation.groundtruth,
         evaluation.estimate,
         evaluation.alignment.similarity,
         AvailabilityRule(case["motion"]),
         0.5,
     )
-    numbers = numbers_of(found.numbers)
+    numbers = numbers_of(result.numbers)
     expected = {name: case[name] for name in numbers}
     assert_equal(numbers, expected, case["pair"], 1e-9)
-    assert found.samples is not None
-    assert found.samples.stamps[[0, -1]].tolist() == [case["first_t_ns"], case["last_t_ns"]]
+    assert result.samples is not None
+    assert result.samples.stamps[[0, -1]].tolist() == [case["first_t_ns"], case["last_t_ns"]]
 
 
 def delayed(estimate: Trajectory, latency_s: float) -> Trajectory:
@@ -354,14 +354,14 @@ def delayed(estimate: Trajectory, latency_s: float) -> Trajectory:
 def both_errors(truth: Trajectory, estimate: Trajectory) -> tuple[float, float]:
     """Return the ATE and the as-available rmse in the yaw gauge, metres."""
     evaluation = evaluate(truth, estimate, Protocol(gauge="yaw", lengths=()))
-    found = as_available(
+    result = as_available(
         evaluation.groundtruth,
         evaluation.estimate,
         evaluation.alignment.similarity,
         AvailabilityRule("hold"),
         0.5,
     )
-    ate, available = evaluation.ate["position_m"], found.numbers.position_m
+    ate, available = evaluation.ate["position_m"], result.numbers.position_m
     assert ate is not None
     assert available is not None
     return ate.rmse, available.rmse
@@ -400,19 +400,19 @@ def test_a_figure_shows_errors_ages_and_latencies() -> None:
     from trajeval_ros.report.available_figure import as_available_figure
 
     truth, estimate = on_line(gap=(40.0, 41.0))
-    found = measured(truth, estimate)
-    figure = as_available_figure(evaluate(truth, estimate, Protocol(gauge="none")), found)
+    result = measured(truth, estimate)
+    figure = as_available_figure(evaluate(truth, estimate, Protocol(gauge="none")), result)
     upper, detail, lower, right = figure.axes
-    assert found.samples is not None
+    assert result.samples is not None
     _, drawn = (line.get_ydata() for line in upper.get_lines())
     # An age error of a straight drive is its speed times the age, largest at the gap's end.
-    assert np.max(drawn) == pytest.approx(V * found.samples.age.max() / SECOND, rel=1e-6)
+    assert np.max(drawn) == pytest.approx(V * result.samples.age.max() / SECOND, rel=1e-6)
     shown = np.concatenate([line.get_xdata() for line in detail.get_lines()])
     assert shown.min() <= 41.0 <= shown.max()
     assert np.ptp(shown) <= 10.0
     age, deadline = (np.asarray(line.get_ydata()) for line in lower.get_lines())
-    np.testing.assert_allclose(age, found.samples.age / SECOND)
-    assert set(deadline) == {found.numbers.deadline_s}
+    np.testing.assert_allclose(age, result.samples.age / SECOND)
+    assert set(deadline) == {result.numbers.deadline_s}
     assert sum(bar.get_height() for bar in right.patches) == len(estimate)
     assert right.get_title(loc="left") == "median 0.08 s, 95 % 0.08 s"
 

@@ -68,8 +68,8 @@ def test_nearest_is_greedy_one_to_one(
         truth, estimate = sorted(truth), sorted(estimate)
     groundtruth, other = at(truth), at(estimate)
     # Of poses: a share of the estimate that points cover has no meaning.
-    turned = np.tile([0.0, 0.0, 0.0, 1.0], (len(truth), 1))
-    groundtruth = dataclasses.replace(groundtruth, quaternions=turned)
+    rotated = np.tile([0.0, 0.0, 0.0, 1.0], (len(truth), 1))
+    groundtruth = dataclasses.replace(groundtruth, quaternions=rotated)
     expected = greedy(groundtruth.stamps, other.stamps, 20 * MILLISECOND)
     rule = AssociationRule("nearest")
     if not expected:
@@ -77,9 +77,9 @@ def test_nearest_is_greedy_one_to_one(
             associate(groundtruth, other, rule)
         return
     pairs = associate(groundtruth, other, rule)
-    ours = list(zip(rows(pairs.estimate), rows(pairs.groundtruth), strict=True))
-    assert set(ours) == expected
-    assert len(ours) == len({i for i, _ in ours}) == len({j for _, j in ours})
+    actual = list(zip(rows(pairs.estimate), rows(pairs.groundtruth), strict=True))
+    assert set(actual) == expected
+    assert len(actual) == len({i for i, _ in actual}) == len({j for _, j in actual})
     assert rows(pairs.estimate) == sorted(rows(pairs.estimate))
     dropped = pairs.dropped.get("no_groundtruth_within_max_time_difference", 0)
     assert len(pairs) + dropped == len(estimate)
@@ -126,8 +126,8 @@ def test_evo_takes_the_rows_that_evo_takes(
         return
     pairs = associate(groundtruth, other, rule)
     chosen = rows(pairs.groundtruth), rows(pairs.estimate)
-    ours = list(zip(*(chosen if by_truth else chosen[::-1]), strict=True))
-    assert ours == expected
+    actual = list(zip(*(chosen if by_truth else chosen[::-1]), strict=True))
+    assert actual == expected
 
 
 def test_rpg_leaves_out_the_limit_itself_and_nearest_does_not() -> None:
@@ -181,10 +181,10 @@ def test_evo_pairs_the_shorter_ones_states_with_their_nearest(seed: int) -> None
     if not expected:
         return
     pairs = associate(truth, estimate, AssociationRule("evo", 0.01))
-    ours = list(zip(rows(pairs.estimate), rows(pairs.groundtruth), strict=True))
+    actual = list(zip(rows(pairs.estimate), rows(pairs.groundtruth), strict=True))
     if short is truth:
-        ours = [(j, i) for i, j in ours]
-    assert ours == expected
+        actual = [(j, i) for i, j in actual]
+    assert actual == expected
 
 
 @given(seed=seeds)
@@ -198,9 +198,9 @@ def test_interpolation_is_linear_in_position_and_slerp_in_rotation(seed: int) ->
     times = (groundtruth.stamps - start) / NANOSECONDS
     at_times = (truth.stamps - start) / NANOSECONDS
     for name in ("positions", "velocities", "gyroscope_biases", "accelerometer_biases"):
-        column, ours = getattr(groundtruth, name), getattr(truth, name)
+        column, actual = getattr(groundtruth, name), getattr(truth, name)
         expected = np.stack([np.interp(at_times, times, item) for item in column.T], axis=1)
-        np.testing.assert_allclose(ours, expected, atol=1e-9)
+        np.testing.assert_allclose(actual, expected, atol=1e-9)
     expected_rotations = Slerp(times, groundtruth.rotations)(at_times)
     apart = (truth.rotations * expected_rotations.inv()).magnitude()
     np.testing.assert_allclose(apart, 0.0, atol=1e-8)
@@ -302,9 +302,9 @@ def test_files_without_stamps_pair_row_by_row() -> None:
     assert pairs.rule.method == "index"
     np.testing.assert_array_equal(pairs.estimate.stamps, groundtruth.stamps)
     shorter = dataclasses.replace(estimate[1:], name="")
-    for name, said in (("truth.txt", "truth.txt"), ("", "the groundtruth")):
+    for name, text in (("truth.txt", "truth.txt"), ("", "the groundtruth")):
         named = dataclasses.replace(groundtruth, name=name)
-        with pytest.raises(InputError, match=f"^{said} has 120 poses, the estimate has 119"):
+        with pytest.raises(InputError, match=f"^{text} has 120 poses, the estimate has 119"):
             associate(named, shorter, AssociationRule("linear"))
 
 
@@ -365,8 +365,8 @@ def test_numbers_of_frames_are_no_times(who: str, first: int) -> None:
     clocked = Trajectory(10**9 * np.arange(1_700_000_000, 1_700_000_040), np.zeros((40, 3)))
     counted = Trajectory(10**9 * (first + 5 * np.arange(40)), np.zeros((40, 3)))
     sides = (counted, clocked) if who == "groundtruth" else (clocked, counted)
-    said = f"the {who} probably has numbers of frames instead of times; write the times of all"
-    with pytest.raises(NoMatchError, match=said):
+    text = f"the {who} probably has numbers of frames instead of times; write the times of all"
+    with pytest.raises(NoMatchError, match=text):
         associate(*sides, AssociationRule("linear"))
 
 

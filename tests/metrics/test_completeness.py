@@ -19,25 +19,25 @@ def _columns(
     states: list[tuple[int, int, bool]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return stamps, positions on a line through space, and which states have an estimate."""
-    steps, places, found = zip(*states, strict=True)
+    steps, places, result = zip(*states, strict=True)
     positions = np.outer(places, [0.6, 0.0, 0.8])
-    return 7 * SECOND + np.cumsum(steps) * SECOND, positions, np.array(found)
+    return 7 * SECOND + np.cumsum(steps) * SECOND, positions, np.array(result)
 
 
 def _expected(states: list[tuple[int, int, bool]]) -> tuple[float, float, float, float]:
     """Return share, span, and duration and reach of the longest gap; of no gap zeros."""
-    stamps, _, found = _columns(states)
+    stamps, _, result = _columns(states)
     times = [int(stamp) // SECOND for stamp in stamps]
     places = [place for _, place, _ in states]
-    edges = [0, *np.flatnonzero(found).tolist()]  # a gap begins at the first state, or at one
+    edges = [0, *np.flatnonzero(result).tolist()]  # a gap begins at the first state, or at one
     best = (0, 0.0)
     for order, begin in enumerate(edges):
         end = edges[order + 1] if order + 1 < len(edges) else len(states) - 1
-        between = [row for row in range(begin, end + 1) if not found[row]]
+        between = [row for row in range(begin, end + 1) if not result[row]]
         if between and times[end] - times[begin] > best[0]:
             reach = max(abs(places[row] - places[begin]) for row in range(begin, end + 1))
             best = (times[end] - times[begin], float(reach))
-    own = [time for time, item in zip(times, found, strict=True) if item]
+    own = [time for time, item in zip(times, result, strict=True) if item]
     whole = times[-1] - times[0]
     span = (own[-1] - own[0]) / whole if whole else 1.0
     return len(own) / len(states), span, *best
@@ -47,13 +47,13 @@ def _expected(states: list[tuple[int, int, bool]]) -> tuple[float, float, float,
 def test_coverage_is_that_of_a_loop_over_the_states(
     states: list[tuple[int, int, bool]], batch: int
 ) -> None:
-    stamps, positions, found = _columns(states)
+    stamps, positions, result = _columns(states)
     sums = CompletenessSums()
     for begin in range(0, len(stamps), batch):
         part = slice(begin, begin + batch)
-        sums.add(stamps[part], positions[part], found[part])
+        sums.add(stamps[part], positions[part], result[part])
     coverage = sums.coverage()
-    if not found.any():
+    if not result.any():
         assert coverage is None
         return
     assert coverage is not None

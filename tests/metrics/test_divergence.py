@@ -33,8 +33,8 @@ def curve(duration_s: float, speed_mps: float) -> tuple[np.ndarray, np.ndarray]:
 
 def seen_from(poses: np.ndarray, rotation: Rotation, scale: float) -> np.ndarray:
     """Return poses in another frame and unit."""
-    turned = rotation * Rotation.from_quat(poses[:, 3:])
-    return np.hstack([scale * rotation.apply(poses[:, :3]), turned.as_quat()])
+    rotated = rotation * Rotation.from_quat(poses[:, 3:])
+    return np.hstack([scale * rotation.apply(poses[:, :3]), rotated.as_quat()])
 
 
 def events_of(

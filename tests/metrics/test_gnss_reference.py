@@ -43,23 +43,23 @@ def test_fixes_are_where_they_are(recording: Recording, husky: Any) -> None:
 def test_a_wheeled_robot(gauge: str, weights: str, recording: Recording, husky: Any) -> None:
     known = husky["wheel_odometry"][f"{gauge}/{weights}"]
     protocol = Protocol(gauge=gauge, align_weights=WEIGHTS[weights], lengths=())
-    found = evaluate(recording(f"{BAG}:/fix"), recording(ODOMETRY), protocol)
-    assert len(found.association) == 989
+    result = evaluate(recording(f"{BAG}:/fix"), recording(ODOMETRY), protocol)
+    assert len(result.association) == 989
     for metric, value in (
         ("position_m", known["ate_3d"]["rmse"]),
         ("horizontal_m", known["horizontal_rmse"]),
         ("vertical_m", known["vertical_rmse"]),
     ):
-        statistics = found.ate[metric]
+        statistics = result.ate[metric]
         if gauge == "planar" and metric == "vertical_m":
             assert statistics is None
             continue
         assert statistics is not None
         assert statistics.rmse == pytest.approx(value, **EXACT)
-    assert found.alignment.similarity.scale == pytest.approx(known["scale"], **EXACT)
-    tilt_deg = np.degrees(np.arccos(np.clip(found.alignment.similarity.rotation[2, 2], -1, 1)))
+    assert result.alignment.similarity.scale == pytest.approx(known["scale"], **EXACT)
+    tilt_deg = np.degrees(np.arccos(np.clip(result.alignment.similarity.rotation[2, 2], -1, 1)))
     assert tilt_deg == pytest.approx(known["tilt_deg"], abs=1e-6)
-    tilts = any(f"gauge {gauge} tilts the estimate" in warning for warning in found.warnings)
+    tilts = any(f"gauge {gauge} tilts the estimate" in warning for warning in result.warnings)
     assert not tilts  # the pipeline's, which knows of fixes
 
 
@@ -67,9 +67,9 @@ def test_a_wheeled_robot(gauge: str, weights: str, recording: Recording, husky: 
 def test_relative_errors_of_positions(length: int, recording: Recording, husky: Any) -> None:
     known = husky["wheel_odometry"][f"fitted_re_planar_{length}m"]
     protocol = Protocol(gauge="planar", lengths=(length,))
-    found = evaluate(recording(f"{BAG}:/fix"), recording(ODOMETRY), protocol)
-    assert found.relative is not None
-    errors, travelled = found.relative[0].errors, found.association.estimate.travelled
+    result = evaluate(recording(f"{BAG}:/fix"), recording(ODOMETRY), protocol)
+    assert result.relative is not None
+    errors, travelled = result.relative[0].errors, result.association.estimate.travelled
     # The reference takes no sub-trajectory that ends with the path, a little short of the length.
     whole = travelled[errors.starts] + length <= travelled[-1]
     assert np.count_nonzero(whole) == known["count"]
@@ -82,14 +82,14 @@ def test_relative_errors_of_positions(length: int, recording: Recording, husky: 
 def test_the_error_without_the_noise(correlation_s: int, recording: Recording, husky: Any) -> None:
     known = husky["wheel_odometry"]["planar_debiased"][f"tau_{correlation_s}"]
     protocol = Protocol(gauge="planar", lengths=())
-    found = evaluate(recording(f"{BAG}:/fix"), recording(ODOMETRY), protocol)
-    truth = found.association.groundtruth
+    result = evaluate(recording(f"{BAG}:/fix"), recording(ODOMETRY), protocol)
+    truth = result.association.groundtruth
     assert truth.covariances is not None
     apart = np.abs(truth.seconds[:, None] - truth.seconds)
     noise = np.exp(-apart / correlation_s) if correlation_s else np.eye(len(truth))
     flat = truth.covariances[:, :3, :3] * np.outer([1.0, 1.0, 0.0], [1.0, 1.0, 0.0])
     own = debiased(
-        truth.positions - found.aligned.positions, found.aligned.positions, flat, noise,
+        truth.positions - result.aligned.positions, result.aligned.positions, flat, noise,
         Gauge.PLANAR,
     )  # fmt: skip
     assert own.ate_m == pytest.approx(known["ate_m"], rel=1e-9)
@@ -111,14 +111,14 @@ def test_surveyed_points(
     key = f"{name}/{'prism_lever' if lever else 'no_lever'}/interpolate_0.5/{gauge}"
     known = reference("gnss")["hilti_2021"][key]
     points, estimate = (recording(f"hilti_2021/Campus_2_{item}.txt") for item in ("prism", name))
-    found = evaluate(points, estimate, Protocol(gauge=gauge, lever_m=lever, lengths=()))
-    assert found.ate["position_m"] is not None
-    assert found.ate["position_m"].rmse == pytest.approx(known["error_3d"]["rmse"], **EXACT)
-    np.testing.assert_allclose(found.absolute.position_m, known["errors_m"], rtol=1e-9, atol=1e-9)
+    result = evaluate(points, estimate, Protocol(gauge=gauge, lever_m=lever, lengths=()))
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].rmse == pytest.approx(known["error_3d"]["rmse"], **EXACT)
+    np.testing.assert_allclose(result.absolute.position_m, known["errors_m"], rtol=1e-9, atol=1e-9)
     # Theirs are along the axes of the total station.
-    assert found.absolute.horizontal_m is not None
-    np.testing.assert_allclose(found.absolute.horizontal_m, known["errors_2d_m"], atol=1e-9)
-    assert found.association.groundtruth_coverage == 1.0
+    assert result.absolute.horizontal_m is not None
+    np.testing.assert_allclose(result.absolute.horizontal_m, known["errors_2d_m"], atol=1e-9)
+    assert result.association.groundtruth_coverage == 1.0
 
 
 @pytest.mark.parametrize("name", ["svo2", "hdl"])
@@ -128,11 +128,11 @@ def test_half_an_estimate(
     known = reference("gnss")["hilti_2021"][f"{name}/first_half/interpolate_0.5/se3"]
     points, estimate = (recording(f"hilti_2021/Campus_2_{item}.txt") for item in ("prism", name))
     half = estimate[: len(estimate) // 2]
-    found = evaluate(points, half, Protocol(lever_m=PRISM, lengths=()))
-    assert found.association.groundtruth_coverage == pytest.approx(9 / 19)
-    assert found.association.dropped == {"after_estimate": 10}
-    assert found.ate["position_m"] is not None
-    assert found.ate["position_m"].rmse == pytest.approx(known["error_3d"]["rmse"], **EXACT)
+    result = evaluate(points, half, Protocol(lever_m=PRISM, lengths=()))
+    assert result.association.groundtruth_coverage == pytest.approx(9 / 19)
+    assert result.association.dropped == {"after_estimate": 10}
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].rmse == pytest.approx(known["error_3d"]["rmse"], **EXACT)
 
 
 @pytest.mark.slow
@@ -143,10 +143,10 @@ def test_dense_positions(recording: Recording, reference: Callable[[str], Any]) 
         ("linear", "groundtruth_interpolated_se3"),
         ("groundtruth-stamps", "estimate_interpolated_se3"),
     ):
-        found = evaluate(truth, estimate, Protocol(association=method, lengths=()))
-        assert found.ate["position_m"] is not None
-        assert found.ate["position_m"].rmse == pytest.approx(known[name]["rmse"], **EXACT)
-        assert found.ate["position_m"].count == known[name]["count"]
+        result = evaluate(truth, estimate, Protocol(association=method, lengths=()))
+        assert result.ate["position_m"] is not None
+        assert result.ate["position_m"].rmse == pytest.approx(known[name]["rmse"], **EXACT)
+        assert result.ate["position_m"].count == known[name]["count"]
 
 
 @pytest.mark.parametrize(("name", "rmse_m"), [("svo2", 8.949275), ("hdl", 0.353299)])
@@ -154,6 +154,6 @@ def test_evo_s_numbers_stay(name: str, rmse_m: float, recording: Recording) -> N
     from trajeval_ros.io.requests.request_from import protocol_from
 
     points, estimate = (recording(f"hilti_2021/Campus_2_{item}.txt") for item in ("prism", name))
-    found = evaluate(points, estimate, protocol_from("evo", max_time_difference=1.0))
-    assert found.ate["position_m"] is not None
-    assert found.ate["position_m"].rmse == pytest.approx(rmse_m, abs=5e-7)
+    result = evaluate(points, estimate, protocol_from("evo", max_time_difference=1.0))
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].rmse == pytest.approx(rmse_m, abs=5e-7)

@@ -93,7 +93,7 @@ def test_losses_do_not_depend_on_batches(
 
 def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float]:
     """Return the loss, and the times of its warning and of its error after the onset, seconds."""
-    pairs, tracking, found = PAIRS[pairs_of], TrackingLosses(), dict[bool, float]()
+    pairs, tracking, result = PAIRS[pairs_of], TrackingLosses(), dict[bool, float]()
     stamps, truth = pairs.estimate.stamps, rows(pairs.groundtruth)
     for row in range(len(stamps)):
         tracking.add(*(column[row : row + 1] for column in (stamps, truth, poses)))
@@ -102,10 +102,10 @@ def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float
             after_s = float(stamps[row] - stamps[begin]) / NANOSECONDS
             assert after_s > 0.0
             for level in (False, loss.s >= 3.0):
-                found.setdefault(level, after_s)
+                result.setdefault(level, after_s)
     loss = tracking.present
     assert loss is not None
-    return loss, found[False], found[True]
+    return loss, result[False], result[True]
 
 
 @pytest.mark.slow

@@ -97,8 +97,10 @@ def _dense(gauge: Gauge, aligned: np.ndarray, covariances: np.ndarray, noise: np
     centred = aligned - aligned.mean(axis=0)
     small = 1e-6
     for axis in axes:
-        turn = Rotation.from_rotvec(small * np.eye(3)[axis])
-        moves.append((turn.apply(centred) - turn.inv().apply(centred)).ravel() / (2.0 * small))
+        rotation = Rotation.from_rotvec(small * np.eye(3)[axis])
+        moves.append(
+            (rotation.apply(centred) - rotation.inv().apply(centred)).ravel() / (2.0 * small)
+        )
     if gauge.has_scale:
         moves.append(centred.ravel())
     basis = np.column_stack(moves)
@@ -137,10 +139,10 @@ def runs_of(*estimates: np.ndarray, fixes: np.ndarray = PATH, kind: int = 2) -> 
     random = np.random.default_rng(7)
     noisy = fixes + 0.02 * random.standard_normal(fixes.shape)
     truth = fixes_of(STAMPS, noisy, quality(COUNT, kind=kind))
-    turned = np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1))
-    turned[:, 2], turned[:, 3] = np.sin(TIMES / 60), np.cos(TIMES / 60)
+    rotated = np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1))
+    rotated[:, 2], rotated[:, 3] = np.sin(TIMES / 60), np.cos(TIMES / 60)
     others = [
-        Trajectory(STAMPS, estimate, turned, name=f"e{number}")
+        Trajectory(STAMPS, estimate, rotated, name=f"e{number}")
         for number, estimate in enumerate(estimates)
     ]
     # The states are a second apart.

@@ -19,9 +19,9 @@ def test_planar_errors_are_those_of_projected_trajectories(method: str) -> None:
     estimate = make_estimate(truth, 6)
     estimate = dataclasses.replace(estimate, stamps=estimate.stamps + 3_000_000)
     protocol = Protocol(gauge="planar", association=AssociationRule(method=method), lengths=())
-    found = evaluate(truth, estimate, protocol).absolute
+    result = evaluate(truth, estimate, protocol).absolute
     projected = evaluate(on_plane(truth), on_plane(estimate), protocol).absolute
-    np.testing.assert_allclose(found.position_m, projected.position_m, rtol=1e-12)
-    assert found.yaw_deg is not None
+    np.testing.assert_allclose(result.position_m, projected.position_m, rtol=1e-12)
+    assert result.yaw_deg is not None
     assert projected.yaw_deg is not None
-    np.testing.assert_allclose(found.yaw_deg, projected.yaw_deg, atol=1e-9)
+    np.testing.assert_allclose(result.yaw_deg, projected.yaw_deg, atol=1e-9)

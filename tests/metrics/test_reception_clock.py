@@ -72,13 +72,13 @@ def test_the_named_offset_is_enough() -> None:
 def test_fastest_message_sets_offset_and_drift(seed: int, offset_s: float, drift: float) -> None:
     exact = times_of(seed)
     shifted = exact + round(offset_s * SECOND) + ((STAMPS - BEGIN) * drift).astype(np.int64)
-    found, clock = judged_receptions(STAMPS, shifted, "fastest:0.005")
+    result, clock = judged_receptions(STAMPS, shifted, "fastest:0.005")
     expected, same = judged_receptions(STAMPS, exact, "fastest:0.005")
     assert clock.verdict == "ok"
     assert clock.offset_s is None
-    np.testing.assert_allclose(found, expected, atol=10)  # ns, of the rounded drift
+    np.testing.assert_allclose(result, expected, atol=10)  # ns, of the rounded drift
     assert clock.drift_ppm - same.drift_ppm == pytest.approx(1e6 * drift, abs=1e-3)
-    assert (found - STAMPS).min() == pytest.approx(0.005 * SECOND, abs=2)
+    assert (result - STAMPS).min() == pytest.approx(0.005 * SECOND, abs=2)
 
 
 @given(st.lists(st.floats(0.0, 10.0), min_size=2, max_size=40), st.integers(0, 10**6))

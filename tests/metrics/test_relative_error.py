@@ -101,10 +101,10 @@ def test_relative_errors_are_those_of_matrices(gauge: Gauge, form: str, seed: in
         end = align @ poses[e]
         velocity = scale * align[:3, :3] @ estimate.velocities[e]
         error = true_poses[e, :3, :3] @ end[:3, :3].T
-        turn = error if form == "tutorial" else np.eye(3)
-        position = np.linalg.norm(true_poses[e, :3, 3] - turn @ end[:3, 3])
+        rotation = error if form == "tutorial" else np.eye(3)
+        position = np.linalg.norm(true_poses[e, :3, 3] - rotation @ end[:3, 3])
         assert errors.position_m[k] == pytest.approx(position, abs=PRECISE)
-        speed = np.linalg.norm(truth.velocities[e] - turn @ velocity)
+        speed = np.linalg.norm(truth.velocities[e] - rotation @ velocity)
         assert errors.velocity_mps[k] == pytest.approx(speed, abs=PRECISE)
         assert errors.rotation_deg[k] == pytest.approx(angle_of(error), abs=1e-9)
         if form != "euler":
@@ -163,9 +163,9 @@ def test_absolute_errors_are_those_of_matrices(form: str, seed: int) -> None:
     true_poses, poses = matrices(truth), matrices(aligned)
     for i in range(len(truth)):
         error = true_poses[i, :3, :3] @ poses[i, :3, :3].T
-        turn = error if form == "tutorial" else np.eye(3)
-        position = np.linalg.norm(true_poses[i, :3, 3] - turn @ poses[i, :3, 3])
-        speed = np.linalg.norm(truth.velocities[i] - turn @ aligned.velocities[i])
+        rotation = error if form == "tutorial" else np.eye(3)
+        position = np.linalg.norm(true_poses[i, :3, 3] - rotation @ poses[i, :3, 3])
+        speed = np.linalg.norm(truth.velocities[i] - rotation @ aligned.velocities[i])
         assert errors.position_m[i] == pytest.approx(position, abs=PRECISE)
         assert errors.velocity_mps[i] == pytest.approx(speed, abs=PRECISE)
         assert errors.rotation_deg[i] == pytest.approx(angle_of(error), abs=1e-9)
@@ -186,14 +186,14 @@ def test_a_share_of_the_path_is_of_the_matched_one_and_the_toolboxs_of_all_in_ce
 ):
     truth = make_groundtruth(5, 200)
     estimate = make_estimate(truth, 6)[20:60]
-    ours = evaluate(truth, estimate, Protocol(lengths="12.5%"))
+    actual = evaluate(truth, estimate, Protocol(lengths="12.5%"))
     theirs = evaluate(truth, estimate, Protocol(lengths="12.5%", selection="toolbox"))
-    assert ours.relative is not None
+    assert actual.relative is not None
     assert theirs.relative is not None
-    matched_m = ours.association.groundtruth.path_length_m
-    assert ours.relative[0].length_m == pytest.approx(matched_m / 8.0)
+    matched_m = actual.association.groundtruth.path_length_m
+    assert actual.relative[0].length_m == pytest.approx(matched_m / 8.0)
     assert theirs.relative[0].length_m == np.floor(100.0 * truth.path_length_m / 8.0) / 100.0
-    table = ours._repr_html_()
+    table = actual._repr_html_()
     assert "ATE" in table
     assert "RE 12.5%" in table
 
@@ -223,16 +223,16 @@ def test_errors_of_long_runs_are_measured_again(monkeypatch: pytest.MonkeyPatch)
 def test_absolute_errors_by_blocks_are_those_of_all_states_at_once() -> None:
     truth = make_groundtruth(7, 40_000)
     estimate = make_estimate(truth, 8)
-    found = evaluate(truth, estimate, Protocol(lengths=()))
-    pairs = found.association
+    result = evaluate(truth, estimate, Protocol(lengths=()))
+    pairs = result.association
     assert len(pairs) > 16_384
-    whole = absolute_errors(pairs.groundtruth, found.aligned)
+    whole = absolute_errors(pairs.groundtruth, result.aligned)
     for name, column in vars(whole).items():
-        ours = getattr(found.absolute, name)
+        actual = getattr(result.absolute, name)
         if column is None:
-            assert ours is None
+            assert actual is None
         else:
-            np.testing.assert_allclose(ours, column, rtol=0.0, atol=1e-11, err_msg=name)
+            np.testing.assert_allclose(actual, column, rtol=0.0, atol=1e-11, err_msg=name)
 
 
 @pytest.mark.parametrize("start_s", [0, 1_403_636_580])
@@ -253,5 +253,5 @@ def test_durations_at_the_limit_of_the_tolerance_count(start_s: int) -> None:
         protocol, selection=dataclasses.replace(protocol.selection, pairs="all")
     )
     (segment,) = evaluate(truth, truth, protocol).relative or ()
-    found = zip(segment.errors.starts.tolist(), segment.errors.ends.tolist(), strict=True)
-    assert list(found) == expected
+    result = zip(segment.errors.starts.tolist(), segment.errors.ends.tolist(), strict=True)
+    assert list(result) == expected

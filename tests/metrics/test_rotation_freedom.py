@@ -53,17 +53,17 @@ def test_orientation_sums_merge_and_subtract(seed: int, cut: int, weighted: bool
     for left, right in ((first + second, whole), (whole - first, second)):
         assert left.weight == pytest.approx(right.weight, rel=1e-12)
         np.testing.assert_allclose(left.total, right.total, atol=1e-11)
-    turn = Rotation.random(random_state=seed % 2**31 + 2)
-    halves = np.sin((a * b.inv() * turn.inv()).magnitude() / 2.0)
+    rotation = Rotation.random(random_state=seed % 2**31 + 2)
+    halves = np.sin((a * b.inv() * rotation.inv()).magnitude() / 2.0)
     chord = math.sqrt(np.average(np.square(halves), weights=weights))
-    assert whole.error(turn.as_matrix()) == pytest.approx(2.0 * math.asin(chord), rel=1e-9)
+    assert whole.error(rotation.as_matrix()) == pytest.approx(2.0 * math.asin(chord), rel=1e-9)
 
 
 def test_one_turn_throughout_is_its_angle() -> None:
     b = Rotation.random(50, random_state=3)
-    turned = OrientationSum.of_pairs((X * b).as_quat(), b.as_quat())
-    assert math.degrees(turned.error(np.eye(3))) == pytest.approx(20.0, rel=1e-12)
-    assert turned.error(X.as_matrix()) == 0.0
+    rotated = OrientationSum.of_pairs((X * b).as_quat(), b.as_quat())
+    assert math.degrees(rotated.error(np.eye(3))) == pytest.approx(20.0, rel=1e-12)
+    assert rotated.error(X.as_matrix()) == 0.0
 
 
 # The standard deviation.
@@ -97,18 +97,21 @@ def test_the_covariance_is_the_sandwich_of_all_places_with_all_errors(
     assert result.alignment.freedom is not None
     std = math.degrees(math.sqrt(np.linalg.eigvalsh(covariance)[-1]))
     assert result.alignment.freedom.std_deg == pytest.approx(std, rel=1e-9)
-    turned, other = result.association.groundtruth.rotations, result.association.estimate.rotations
-    assert turned is not None
+    rotated, other = (
+        result.association.groundtruth.rotations,
+        result.association.estimate.rotations,
+    )
+    assert rotated is not None
     assert other is not None
-    mean = (turned * other.inv()).as_matrix().mean(axis=0)
+    mean = (rotated * other.inv()).as_matrix().mean(axis=0)
     if gauge.turns_about_gravity_only:
         yaw = math.atan2(mean[1, 0] - mean[0, 1], mean[0, 0] + mean[1, 1])
         alone = Rotation.from_rotvec([0.0, 0.0, yaw])
     else:
-        alone = (turned * other.inv()).mean()
-    turn = (alone * Rotation.from_matrix(similarity.rotation).inv()).as_rotvec()[axes]
-    spread = covariance + (least**2 / 3.0 + math.radians(0.4) ** 2) * np.eye(len(turn))
-    expected = math.sqrt(turn @ np.linalg.solve(spread, turn))
+        alone = (rotated * other.inv()).mean()
+    rotation = (alone * Rotation.from_matrix(similarity.rotation).inv()).as_rotvec()[axes]
+    spread = covariance + (least**2 / 3.0 + math.radians(0.4) ** 2) * np.eye(len(rotation))
+    expected = math.sqrt(rotation @ np.linalg.solve(spread, rotation))
     assert math.degrees(in_stds) == pytest.approx(expected, rel=1e-6)
 
 

@@ -25,14 +25,14 @@ def by_frame(way: str = "positions") -> Protocol:
 
 def test_a_straight_street_of_kitti(kitti: tuple[Trajectory, Trajectory]) -> None:
     truth, estimate = (item[4200:4350] for item in kitti)
-    found = evaluate(truth, estimate, by_frame())
-    assert found.ate["rotation_deg"] is None
-    assert found.alignment.freedom is not None
-    std_deg, error_deg, least_deg, turn_deg, _ = freedom_numbers(found.alignment)
+    result = evaluate(truth, estimate, by_frame())
+    assert result.ate["rotation_deg"] is None
+    assert result.alignment.freedom is not None
+    std_deg, error_deg, least_deg, turn_deg, _ = freedom_numbers(result.alignment)
     assert std_deg == pytest.approx(27.1, abs=0.1)
     assert [error_deg, turn_deg] == pytest.approx([33.56, 33.56], abs=0.005)
     assert least_deg == pytest.approx(0.09, abs=0.005)
-    (warning,) = rotation_warnings(found)
+    (warning,) = rotation_warnings(result)
     assert "of the rotation error of 33.6 deg, 33.6 deg are a constant rotation" in warning
     with_poses = evaluate(truth, estimate, by_frame("poses"))
     assert rmse(with_poses, "rotation_deg") == pytest.approx(0.46, abs=0.005)
@@ -69,8 +69,8 @@ def test_full_recordings_are_silent(
     desk = ("tum/fr2_desk_groundtruth.txt", "tum/fr2_desk_ORB.txt")
     for truth, estimate in (*euroc, desk):
         for gauge in (Gauge.SE3, Gauge.YAW) if truth.startswith("euroc") else (Gauge.SE3,):
-            found = evaluate(recording(truth), recording(estimate), on(gauge))
-            assert rotation_warnings(found) == [], (estimate, gauge)
+            result = evaluate(recording(truth), recording(estimate), on(gauge))
+            assert rotation_warnings(result) == [], (estimate, gauge)
 
 
 @pytest.mark.slow

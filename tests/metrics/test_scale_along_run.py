@@ -25,8 +25,10 @@ def flight(random: np.random.Generator, *, tails: bool = False) -> tuple[Array, 
     """Return a path with turns, slow and fast parts and rests, and noisy steps along it."""
     speed = np.abs(np.convolve(random.normal(size=COUNT + 399), np.ones(400), "valid")) / 20.0
     speed[random.integers(COUNT // 2) :][:400] = 0.0
-    turn = np.cumsum(np.convolve(random.normal(size=COUNT + 99), np.ones(100), "valid")) / 400.0
-    heading = np.stack([np.cos(turn), np.sin(turn), 0.2 * np.sin(turn / 3.0)], axis=1)
+    rotation = (
+        np.cumsum(np.convolve(random.normal(size=COUNT + 99), np.ones(100), "valid")) / 400.0
+    )
+    heading = np.stack([np.cos(rotation), np.sin(rotation), 0.2 * np.sin(rotation / 3.0)], axis=1)
     steps = speed[:, None] * heading * 0.05
     noise = random.standard_t(3, steps.shape) if tails else random.normal(size=steps.shape)
     return np.cumsum(steps, axis=0), steps + 0.1 * np.abs(steps).max(axis=1, keepdims=True) * noise
@@ -41,9 +43,9 @@ def drifting(seed: int, drift: float, *, tails: bool = False, walk: float = 0.0)
     steps = np.exp(1e-4 * drift * travelled + wandering)[:, None] * noisy
     estimate = np.cumsum(steps, axis=0) + random.normal(scale=0.005, size=path.shape)
     groundtruth = path + random.normal(scale=0.002, size=path.shape)
-    found = scale_along_run(groundtruth, estimate, 1.0)
-    assert found is not None
-    return found
+    result = scale_along_run(groundtruth, estimate, 1.0)
+    assert result is not None
+    return result
 
 
 @pytest.mark.slow
@@ -90,12 +92,12 @@ def test_an_exact_drift_is_recovered() -> None:
     path = np.stack([along, np.zeros_like(along), np.zeros_like(along)], axis=1)
     other = path.copy()
     other[:, 0] = (np.exp(0.001 * along) - 1.0) / 0.001  # the scale is exp(0.001 l)
-    found = scale_along_run(path, other, 1.0)
-    assert found is not None
-    assert found.drift == pytest.approx(10.0, rel=1e-3)
-    assert found.is_drifting
-    assert found.length_m == pytest.approx(10.0)
-    np.testing.assert_allclose(found.ratios, np.exp(0.001 * found.travelled_m), rtol=1e-4)
+    result = scale_along_run(path, other, 1.0)
+    assert result is not None
+    assert result.drift == pytest.approx(10.0, rel=1e-3)
+    assert result.is_drifting
+    assert result.length_m == pytest.approx(10.0)
+    np.testing.assert_allclose(result.ratios, np.exp(0.001 * result.travelled_m), rtol=1e-4)
 
 
 @pytest.mark.parametrize("count", [2, 30])

@@ -26,13 +26,13 @@ RULES = ("nearest", "toolbox", "first-past", "evo")
 
 def by_search(along: Array, length: float, selection: Selection) -> list[tuple[int, int]]:
     """Return what the rules say, pair by pair."""
-    found = []
+    result = []
     last = len(along) - 1
     for start in range(0, len(along), selection.every):
         target = along[start] + length
         if selection.rule == "first-past":
             past = [e for e in range(start, last + 1) if along[e] > target]
-            found += [(start, past[0])] if past else []
+            result += [(start, past[0])] if past else []
             continue
         deviations = [abs(along[e] - target) for e in range(start, last + 1)]
         end = start + int(np.argmin(deviations))
@@ -47,8 +47,8 @@ def by_search(along: Array, length: float, selection: Selection) -> list[tuple[i
             tolerance = min(max(0.01 * length, spacing / 2.0), 0.2 * length)
             accepted = deviation <= tolerance * (1.0 + 1e-9) and end > start
         if accepted:
-            found.append((start, end))
-    return found
+            result.append((start, end))
+    return result
 
 
 def by_whole_columns(
@@ -155,11 +155,11 @@ def test_consecutive_ones_are_those_of_all_that_follow_each_other(
 @given(count=st.integers(0, 50), length=st.integers(1, 60))
 def test_frames_are_counted(count: int, length: int) -> None:
     everything = [(start, start + length) for start in range(max(count - length, 0))]
-    found = [
+    result = [
         list(zip(*map(np.ndarray.tolist, select_states(count, length, selection)), strict=True))
         for selection in (Selection(), Selection("evo", pairs="consecutive"))
     ]
-    assert found == [everything, everything[::length]]
+    assert result == [everything, everything[::length]]
 
 
 @given(seed=seeds, angle=st.floats(0.05, 3.0), tolerance=st.floats(0.01, 0.5))
@@ -173,8 +173,8 @@ def test_orientations_that_far_apart_are_all_found(
     apart = lie.angle(lie.multiply(lie.conjugate(quaternions[starts]), quaternions[ends]))
     inside = np.abs(apart - angle) <= tolerance * angle
     expected = set(zip(starts[inside].tolist(), ends[inside].tolist(), strict=True))
-    found = select_turns(quaternions, angle, tolerance)
-    assert set(zip(*map(np.ndarray.tolist, found), strict=True)) == expected
+    result = select_turns(quaternions, angle, tolerance)
+    assert set(zip(*map(np.ndarray.tolist, result), strict=True)) == expected
 
 
 @pytest.mark.parametrize(
@@ -207,9 +207,9 @@ def test_sub_trajectories_are_as_long_as_they_say(seed: int, length: float) -> N
 
 def test_the_toolbox_takes_short_ones_at_the_end_and_ours_does_not() -> None:
     along = np.arange(0.0, 100.0, 0.1)
-    ours = select(along, 40.0, Selection())
+    actual = select(along, 40.0, Selection())
     theirs = select(along, 40.0, Selection("toolbox"))
-    assert (along[ours[1]] - along[ours[0]]).min() > 0.985 * 40.0
+    assert (along[actual[1]] - along[actual[0]]).min() > 0.985 * 40.0
     assert (along[theirs[1]] - along[theirs[0]]).min() < 0.85 * 40.0
 
 

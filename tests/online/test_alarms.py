@@ -48,12 +48,12 @@ def levels(
     """
     flight = circling(len(position), 200)
     assert flight.quaternions is not None
-    turned = np.zeros((len(position), 3))
-    turned[:, 2] = np.radians(turned_deg)
+    rotated = np.zeros((len(position), 3))
+    rotated[:, 2] = np.radians(turned_deg)
     estimate = dataclasses.replace(
         flight,
         positions=flight.positions + position,
-        quaternions=lie.multiply(lie.from_rotation_vector(turned), flight.quaternions),
+        quaternions=lie.multiply(lie.from_rotation_vector(rotated), flight.quaternions),
     )
     live = OnlineEvaluator(OnlineSettings(Protocol(gauge="none", lengths=())))
     peaks, seen = MaxSinceLast(), []
@@ -79,14 +79,14 @@ def test_all_excursions_of_a_tenth_of_a_second_are_seen() -> None:
     begins = 200 + 400 * np.arange(50) + np.rint(170 * ((0.618 * np.arange(50)) % 1.0))
     for begin in begins.astype(int):
         position[begin : begin + 20, 0] = 0.5
-    turned = np.where(position[:, 0] > 0.0, 5.0, 0.0)
+    rotated = np.where(position[:, 0] > 0.0, 5.0, 0.0)
     limits = {
         **NONE,
         "position_error_m": AlarmLimits(0.1, 0.4),
         "yaw_error_deg": AlarmLimits(3.0),
         "rotation_error_deg": AlarmLimits(6.0),
     }
-    seen = levels(position, turned, limits)
+    seen = levels(position, rotated, limits)
     assert len(seen) == seconds
     expected = {"position_error_m": Level.ERROR, "yaw_error_deg": Level.WARNING}
     assert [item == expected for item in seen] == [

@@ -112,10 +112,10 @@ def test_errors_that_are_withheld_have_no_vectors() -> None:
 
 
 def test_metres_and_degrees_have_topics_of_their_own() -> None:
-    found = by_part("x", np.array([1.5, 2.5]), np.array([10.0, 20.0]))
-    assert list(found) == ["x/position", "x/rotation"]
-    np.testing.assert_array_equal(found["x/position"], [[1.5, 0.0, 0.0], [2.5, 0.0, 0.0]])
-    np.testing.assert_array_equal(found["x/rotation"], [[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]])
+    result = by_part("x", np.array([1.5, 2.5]), np.array([10.0, 20.0]))
+    assert list(result) == ["x/position", "x/rotation"]
+    np.testing.assert_array_equal(result["x/position"], [[1.5, 0.0, 0.0], [2.5, 0.0, 0.0]])
+    np.testing.assert_array_equal(result["x/rotation"], [[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]])
     [(topic, vectors)] = by_part("x", 0.5, None).items()
     assert (topic, vectors.tolist()) == ("x/position", [[0.5, 0.0, 0.0]])
 
@@ -134,8 +134,8 @@ def test_the_window_s_ate_needs_an_alignment() -> None:
     [(topic, alone)] = window_ate(only).items()
     assert (topic, alone.tolist()) == ("stamped/ate/position", [[0.25, 0.0, 0.0]])
     both = dataclasses.replace(only, ate={"rotation_deg": rotation})
-    found = window_ate(both)["stamped/ate/rotation"]
-    np.testing.assert_allclose(found, [[np.sqrt(12.5), 0.0, 0.0]], rtol=1e-15)
+    result = window_ate(both)["stamped/ate/rotation"]
+    np.testing.assert_allclose(result, [[np.sqrt(12.5), 0.0, 0.0]], rtol=1e-15)
 
 
 def test_tests_that_are_not_asked_for_have_no_numbers() -> None:
@@ -227,11 +227,11 @@ def test_a_status_has_what_is_known_and_nothing_else() -> None:
 def test_updates_are_united_in_order() -> None:
     first, second = errors_of(2), errors_of(3)
     several = [Update(2, 10, (first,)), Update(3, 20, (second,)), Update()]
-    found = united(several)
-    assert (found.pairs, found.stamp, found.errors) == (5, 20, (first, second))
-    assert found.position_m == second.position_m[-1]
+    result = united(several)
+    assert (result.pairs, result.stamp, result.errors) == (5, 20, (first, second))
+    assert result.position_m == second.position_m[-1]
     assert second.rotation_deg is not None
-    assert found.rotation_deg == second.rotation_deg[-1]
+    assert result.rotation_deg == second.rotation_deg[-1]
     nothing = united([Update(), Update()])
     assert (nothing.pairs, nothing.stamp, nothing.position_m) == (0, None, None)
     assert nothing.rotation_deg is None

@@ -43,7 +43,7 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: i
     assert receptions is not None
     assert truth.quaternions is not None
     assert estimate.quaternions is not None
-    live, found = LiveAvailability(rule, 0.5, 10.0), []
+    live, result = LiveAvailability(rule, 0.5, 10.0), []
     # Everything in the order of its reception; groundtruth arrives 3 ms after its timestamp.
     events = [(int(at) + 3_000_000, 0, row) for row, at in enumerate(truth.stamps)]
     events += [(int(at), 1, row) for row, at in enumerate(receptions.times)]
@@ -55,17 +55,17 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: i
         else:
             live.add_groundtruth(truth[part])
         if number % every == 0 and (samples := live.update(IDENTITY)) is not None:
-            found.append(samples)
+            result.append(samples)
             assert set(live.numbers) >= {"available/age", "available/latency"}
         most = max(most, len(live._messages))
-    stamps = np.concatenate([item.stamps for item in found])
+    stamps = np.concatenate([item.stamps for item in result])
     rows_of = expected.samples.stamps.searchsorted(stamps)
     assert len(stamps) > 0.95 * len(expected.samples.stamps)
     np.testing.assert_array_equal(expected.samples.stamps[rows_of], stamps)
     for name in ("ages", "position", "rotation"):
-        parts = np.concatenate([getattr(item, name) for item in found], axis=1)
-        wanted = getattr(expected.samples, name)[:, rows_of]
-        np.testing.assert_allclose(parts, wanted, atol=1e-12, err_msg=name)
+        parts = np.concatenate([getattr(item, name) for item in result], axis=1)
+        required = getattr(expected.samples, name)[:, rows_of]
+        np.testing.assert_allclose(parts, required, atol=1e-12, err_msg=name)
     assert most < 100 * corrections
     missed = expected.numbers.missed_deadlines
     assert missed is not None
@@ -177,17 +177,17 @@ def test_messages_without_a_reception_are_not_used() -> None:
 
 
 def test_an_offset_moves_the_timestamps_and_not_the_receptions() -> None:
-    found = []
+    result = []
     for offset_ns in (0, 20_000_000):
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
         stamps = np.arange(0, 2000, 5) * 1_000_000
         live.add_groundtruth(states_on(stamps))
         live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 50_000_000)))
         assert live.update(IDENTITY, offset_ns) is not None
-        found.append(live.numbers)
-    assert found[0]["available/age"] - found[1]["available/age"] == pytest.approx(0.02)
-    assert found[0]["available/position_error"] == pytest.approx(
-        found[1]["available/position_error"]
+        result.append(live.numbers)
+    assert result[0]["available/age"] - result[1]["available/age"] == pytest.approx(0.02)
+    assert result[0]["available/position_error"] == pytest.approx(
+        result[1]["available/position_error"]
     )
 
 

@@ -35,7 +35,7 @@ def feed(
     until_s: float = np.inf,
 ) -> list[list[Event]]:
     """Let states arrive, and examine them every few seconds; return the new events of each."""
-    found, sides = [], (("groundtruth", TRUTH), ("estimate", estimate))
+    result, sides = [], (("groundtruth", TRUTH), ("estimate", estimate))
     first = int(min(side.stamps[0] for _, side in sides))
     for begin_s in np.arange(0.0, min(41.0, until_s), every_s):
         bounds = first + np.round(NANOSECONDS * np.array([begin_s, begin_s + every_s]))
@@ -43,8 +43,8 @@ def feed(
             rows = slice(*np.searchsorted(side.stamps, bounds))
             arrived = first + ((side.stamps[rows] - first) / rate).astype(np.int64)
             search.add(name, side.stamps[rows], rows_of(side[rows]), arrived)
-        found.append(search.examine())
-    return found
+        result.append(search.examine())
+    return result
 
 
 @pytest.mark.parametrize("every_s", [0.04, 0.4, 7.0])

@@ -142,14 +142,14 @@ def test_a_late_estimate_is_paired_within_the_delay_or_told(
     limits = BufferLimits(past_s=max_delay_s or np.inf)
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge="yaw"), limits=limits))
     feed(evaluator, *sides, delay_s=12.0, drain_s=0.25)
-    said = evaluator.buffer.why_forgotten
+    text = evaluator.buffer.why_forgotten
     if pairs:
-        assert said == ""
+        assert text == ""
         assert_live_is_offline(evaluator, evaluate(*sides, Protocol(gauge="yaw")))
     else:
         late = evaluator.buffer.dropped["too_late"]
-        assert said.startswith(f"{counted(late, 'pose')} dropped: later than")
-        assert "5 s (max_delay)" in said
+        assert text.startswith(f"{counted(late, 'pose')} dropped: later than")
+        assert "5 s (max_delay)" in text
 
 
 @pytest.mark.parametrize("silent", ["groundtruth", "estimate"])

@@ -31,46 +31,46 @@ def test_vectors_are_as_long_as_the_offline_errors(seed: int, axis: str) -> None
     groundtruth = dataclasses.replace(make_groundtruth(seed, 50), up=up)
     estimate = make_estimate(groundtruth, seed + 1)
     groundtruth = groundtruth[: len(estimate)]
-    turn = lie.to_matrix(lie.from_rotation_vector(np.array([0.1, -0.2, 0.3])))
-    alignment = Similarity(turn, np.array([1.0, 2.0, 3.0]), 1.1)
+    rotation = lie.to_matrix(lie.from_rotation_vector(np.array([0.1, -0.2, 0.3])))
+    alignment = Similarity(rotation, np.array([1.0, 2.0, 3.0]), 1.1)
     expected = absolute_errors(groundtruth, alignment.trajectory(estimate))
     estimate = dataclasses.replace(estimate, stamps=groundtruth.stamps)
-    found = PairErrors(PairedStates(groundtruth, estimate), alignment, Doubts())
+    result = PairErrors(PairedStates(groundtruth, estimate), alignment, Doubts())
     near = {"rtol": 1e-9, "atol": 1e-9}
-    np.testing.assert_allclose(lengths(found.position), expected.position_m, **near)
-    np.testing.assert_allclose(lengths(found.along_cross_vertical), expected.position_m, **near)
-    np.testing.assert_allclose(lengths(found.rotation_vector_deg), expected.rotation_deg, **near)
+    np.testing.assert_allclose(lengths(result.position), expected.position_m, **near)
+    np.testing.assert_allclose(lengths(result.along_cross_vertical), expected.position_m, **near)
+    np.testing.assert_allclose(lengths(result.rotation_vector_deg), expected.rotation_deg, **near)
     if expected.velocity_mps is not None:
-        np.testing.assert_allclose(lengths(found.velocity), expected.velocity_mps, **near)
-    assert found.yaw_deg is not None
-    assert found.attitude_deg is not None
-    np.testing.assert_allclose(np.abs(found.yaw_deg), expected.yaw_deg, **near)
-    np.testing.assert_allclose(found.tilt_deg, expected.tilt_deg, **near)
+        np.testing.assert_allclose(lengths(result.velocity), expected.velocity_mps, **near)
+    assert result.yaw_deg is not None
+    assert result.attitude_deg is not None
+    np.testing.assert_allclose(np.abs(result.yaw_deg), expected.yaw_deg, **near)
+    np.testing.assert_allclose(result.tilt_deg, expected.tilt_deg, **near)
     # The part of the attitude error along the up axis is yaw, the rest is tilt.
     above = up.matrix[2]
-    np.testing.assert_allclose(found.attitude_deg @ above, found.yaw_deg, **near)
-    across = found.attitude_deg - np.outer(found.yaw_deg, above)
+    np.testing.assert_allclose(result.attitude_deg @ above, result.yaw_deg, **near)
+    across = result.attitude_deg - np.outer(result.yaw_deg, above)
     np.testing.assert_allclose(lengths(across), expected.tilt_deg, **near)
 
 
 def test_along_is_where_the_body_heads() -> None:
-    turned = lie.from_rotation_vector(np.array([[0.0, 0.0, np.pi / 2.0]]))  # faces y
-    groundtruth = Trajectory(np.array([5]), np.array([[1.0, 2.0, 3.0]]), turned)
+    rotated = lie.from_rotation_vector(np.array([[0.0, 0.0, np.pi / 2.0]]))  # faces y
+    groundtruth = Trajectory(np.array([5]), np.array([[1.0, 2.0, 3.0]]), rotated)
     # Half a metre behind, and below.
     estimate = dataclasses.replace(groundtruth, positions=np.array([[1.0, 1.5, 2.9]]))
     pairs = PairedStates(groundtruth, estimate)
-    found = PairErrors(pairs, Similarity.identity(), Doubts())
-    assert found.along_cross_vertical is not None
-    assert found.along_cross_vertical[0] == pytest.approx([0.5, 0.0, 0.1], abs=1e-12)
-    assert found.velocity is None  # nobody measures one
+    result = PairErrors(pairs, Similarity.identity(), Doubts())
+    assert result.along_cross_vertical is not None
+    assert result.along_cross_vertical[0] == pytest.approx([0.5, 0.0, 0.1], abs=1e-12)
+    assert result.velocity is None  # nobody measures one
 
 
 def test_what_is_not_measured_or_not_determined_is_withheld() -> None:
     places = np.ones((4, 3))
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
     moving = np.array([[1.0, 0.0, 0.0]] * 3 + [[0.0, 0.0, 0.0]])
     stamps = np.arange(4)
-    full, points = Trajectory(stamps, places, turns, moving), Trajectory(stamps, places)
+    full, points = Trajectory(stamps, places, rotations, moving), Trajectory(stamps, places)
     without = PairErrors(PairedStates(points, full), Similarity.identity(), Doubts())
     assert without.rotation_deg is without.yaw_deg is without.tilt_deg is None
     assert without.rotation_vector_deg is without.attitude_deg is None

@@ -69,10 +69,10 @@ def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
 
 def test_poses_that_the_newest_version_lacks_are_left_out() -> None:
     pair = make_pair(1, 120, smooth=True)
-    found = associate(pair.groundtruth, pair.estimate, Protocol().association)
+    result = associate(pair.groundtruth, pair.estimate, Protocol().association)
     path = RevisedPath(Gauge.SE3)
     path.renew(pair.estimate)
-    path.record(PairedStates(found.groundtruth, found.estimate))
+    path.record(PairedStates(result.groundtruth, result.estimate))
     whole = rmse_m(path, Gauge.SE3)
     assert not len(path.renew(pair.estimate[np.delete(np.arange(len(pair.estimate)), [3, 5])]))
     assert len(path.path) == len(pair.estimate) - 2

@@ -223,9 +223,9 @@ def test_states_that_come_late_are_put_where_they_belong(seed: int, past: int) -
     if oldest > stamps[first[0]]:
         everything -= set(range(oldest // SECOND))
     kept = sorted(everything)
-    found = pairing.groundtruth.trajectory()
-    assert found.stamps.tolist() == [item * SECOND for item in kept]
-    np.testing.assert_array_equal(found.positions[:, 0], found.stamps)
+    result = pairing.groundtruth.trajectory()
+    assert result.stamps.tolist() == [item * SECOND for item in kept]
+    np.testing.assert_array_equal(result.positions[:, 0], result.stamps)
     # Before something was forgotten, any state can be added.
     are_old = (stamps[batch] < oldest) & (oldest > stamps[first[0]])
     dropped = pairing.groundtruth_counts.dropped

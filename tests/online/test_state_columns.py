@@ -88,16 +88,16 @@ def test_a_tail_holds_what_a_sorted_list_does(operations: list[Any], random: Any
             assert tail.stamps[:row].tolist() == before[:row]
             for stamp in stamps:
                 model.setdefault(stamp, (sign * stamp, known))
-        held, found = sorted(model), tail.trajectory()
-        assert tail.stamps.tolist() == found.stamps.tolist() == held
+        held, result = sorted(model), tail.trajectory()
+        assert tail.stamps.tolist() == result.stamps.tolist() == held
         assert (len(tail), tail.dropped) == (len(model), dropped)
         assert tail.newest == max(model, default=NEVER)
-        assert found.positions[:, 1].tolist() == [model[stamp][0] for stamp in held]
+        assert result.positions[:, 1].tolist() == [model[stamp][0] for stamp in held]
         # A velocity is there if all states have one; an unknown covariance is zero.
         if len(model):
             all_known = all("velocities" in known for _, known in model.values())
-            assert (found.velocities is not None) == all_known
-            assert np.array_equal(tail.poses().poses[:, :3], found.positions)
+            assert (result.velocities is not None) == all_known
+            assert np.array_equal(tail.poses().poses[:, :3], result.positions)
             one = tail.trajectory(np.array([len(tail) - 1]))
             value, known = model[held[-1]]
             assert (one.velocities is not None) == ("velocities" in known)
@@ -182,15 +182,15 @@ def random_rows(seed: int, axis: str) -> tuple[Trajectory, Array]:
 def test_a_state_in_the_plane_has_no_height_and_only_a_heading(seed: int, axis: str) -> None:
     source, _ = random_rows(seed, axis)
     above = UpAxis(axis).matrix[2]
-    found = in_plane(source)
-    assert found.up == source.up
-    np.testing.assert_array_equal(found.covariances, source.covariances)
+    result = in_plane(source)
+    assert result.up == source.up
+    np.testing.assert_array_equal(result.covariances, source.covariances)
     for part in ("positions", "velocities"):
-        flat, vectors = getattr(found, part), getattr(source, part)
+        flat, vectors = getattr(result, part), getattr(source, part)
         np.testing.assert_allclose(flat @ above, 0.0, atol=1e-15)
         across = vectors - np.outer(vectors @ above, above)
         np.testing.assert_allclose(flat, across, rtol=1e-14, atol=1e-14)
-    rotations = Rotation.from_quat(turns_of(found))
+    rotations = Rotation.from_quat(turns_of(result))
     upwards = rotations.apply([0.0, 0.0, 1.0])  # the body stands upright
     np.testing.assert_allclose(upwards, np.tile(above, (12, 1)), atol=1e-14)
     # What is left is a tilt: the rotation about the vertical nearest to the orientation.
@@ -229,10 +229,10 @@ def test_a_store_has_the_newest_pairs_and_the_path_from_the_start(
             dropped = travelled_distance(sides[0].positions[known])[-keep]
             left[known[-keep:]] = dropped + left[known[0]]
             known = known[-keep:]
-        found = store.pairs(slice(None))
+        result = store.pairs(slice(None))
         assert (len(store), store.end - store.begin) == (len(known), len(known))
         np.testing.assert_array_equal(store.stamps(), stamps[known])
-        for side, source in zip((found.groundtruth, found.estimate), sides, strict=True):
+        for side, source in zip((result.groundtruth, result.estimate), sides, strict=True):
             np.testing.assert_array_equal(side.positions, source.positions[known])
         path = left[known[0]] + travelled_distance(sides[0].positions[known])
         np.testing.assert_allclose(store.along(), path, rtol=1e-12)

@@ -40,7 +40,7 @@ DRAWINGS = (top_view, absolute_error, relative_error)
 def evaluations() -> list[Evaluation]:
     """Five estimates of one flight; the fourth lost track half way."""
     flight = simulate(0, 40.0)
-    found = []
+    result = []
     for place in range(5):
         estimate = simulate(place, 40.0).estimate if place == 0 else flight.estimate
         walk = np.random.default_rng(place).normal(size=estimate.positions.shape).cumsum(axis=0)
@@ -49,8 +49,8 @@ def evaluations() -> list[Evaluation]:
         )
         if place == 3:
             moved = moved[: len(moved) // 2]
-        found.append(evaluate(flight.groundtruth, moved, Protocol(gauge=Gauge.YAW)))
-    return found
+        result.append(evaluate(flight.groundtruth, moved, Protocol(gauge=Gauge.YAW)))
+    return result
 
 
 def width_of(png: Path) -> float:
@@ -130,9 +130,9 @@ def test_large_coordinates_are_subtracted_and_said() -> None:
         (axes,) = draw(evaluate(far, far[::10])).axes
     offset = {}
     for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y")):
-        said = re.fullmatch(rf"{name} ([−+]) (\d+) \[m\]", axis.get_label_text())
-        assert said
-        offset[name] = (1.0 if said[1] == "−" else -1.0) * float(said[2])
+        text = re.fullmatch(rf"{name} ([−+]) (\d+) \[m\]", axis.get_label_text())
+        assert text
+        offset[name] = (1.0 if text[1] == "−" else -1.0) * float(text[2])
         low, high = axis.get_view_interval()
         middle = 0.5 * (low + high)
         label = axis.get_major_formatter()(middle, 0)
@@ -266,7 +266,7 @@ def test_the_ramp_is_viridis() -> None:
 
     shares = np.linspace(0.0, 1.0, 101)
     with apply_style():
-        ours = matplotlib.colormaps[matplotlib.rcParams["image.cmap"]](shares)
+        actual = matplotlib.colormaps[matplotlib.rcParams["image.cmap"]](shares)
     theirs = matplotlib.colormaps["viridis"](0.2 + 0.8 * shares)
-    np.testing.assert_allclose(ours, theirs, atol=4.0 / 255.0)
+    np.testing.assert_allclose(actual, theirs, atol=4.0 / 255.0)
     assert palette.rgb(palette.RAMP[-1]) == (253, 231, 37)

@@ -32,14 +32,14 @@ def evaluation() -> Evaluation:
 
 
 def test_fixes_are_coloured_by_status_within_their_ellipses() -> None:
-    found = evaluation()
-    [axes] = draw(found, "top").axes
+    result = evaluation()
+    [axes] = draw(result, "top").axes
     dots = {
         str(line.get_label()): len(np.asarray(line.get_xdata()))
         for line in axes.get_lines()
         if "fixes" in str(line.get_label())
     }
-    count = len(found.groundtruth)
+    count = len(result.groundtruth)
     assert dots == {
         "fixes of status 0 (GNSS alone), 95 %": 10,
         "fixes of status 2 (ground-based), 95 %": count - 10,
@@ -69,8 +69,8 @@ def test_heights_are_claimed_to_be_twice_as_bad() -> None:
 
 
 def test_other_groundtruth_has_none() -> None:
-    found = evaluate(FLIGHT.groundtruth, FLIGHT.estimate, Protocol(gauge="yaw"))
-    assert not any("fixes" in str(line.get_label()) for line in draw(found, "top").axes[0].lines)
+    result = evaluate(FLIGHT.groundtruth, FLIGHT.estimate, Protocol(gauge="yaw"))
+    assert not any("fixes" in str(line.get_label()) for line in draw(result, "top").axes[0].lines)
     points = dataclasses.replace(FLIGHT.groundtruth[::80], quaternions=None)
-    found = evaluate(points, FLIGHT.estimate, Protocol(gauge="yaw"))
-    assert not any("fixes" in str(line.get_label()) for line in draw(found, "top").axes[0].lines)
+    result = evaluate(points, FLIGHT.estimate, Protocol(gauge="yaw"))
+    assert not any("fixes" in str(line.get_label()) for line in draw(result, "top").axes[0].lines)

@@ -25,9 +25,9 @@ def test_a_simplified_path_stays_within_its_tolerance(
     left = simplified(path, stamps, 0.5, tolerance_m)
     pieces = np.split(path, np.flatnonzero(np.diff(stamps) > 10**9) + 1)
     ends = np.flatnonzero(np.isnan(left[:, 0]))
-    found = [piece[np.isfinite(piece[:, 0])] for piece in np.split(left, ends)]
-    assert len(found) == len(pieces)
-    for piece, rows in zip(pieces, found, strict=True):
+    result = [piece[np.isfinite(piece[:, 0])] for piece in np.split(left, ends)]
+    assert len(result) == len(pieces)
+    for piece, rows in zip(pieces, result, strict=True):
         np.testing.assert_array_equal(rows[[0, -1]], piece[[0, -1]])
         assert (rows[:, None] == piece[None]).all(axis=2).any(axis=1).all()
         assert distances_to_line(piece[:, :2], rows[:, :2]).max() <= tolerance_m * (1.0 + 1e-9)
@@ -35,8 +35,8 @@ def test_a_simplified_path_stays_within_its_tolerance(
 
 @pytest.mark.slow
 def test_a_simplified_path_has_few_rows() -> None:
-    turns = np.linspace(0.0, 2.0 * np.pi, 100_000)
-    circle = np.stack([np.cos(turns), np.sin(turns), turns], axis=1)
+    rotations = np.linspace(0.0, 2.0 * np.pi, 100_000)
+    circle = np.stack([np.cos(rotations), np.sin(rotations), rotations], axis=1)
     # A chord of a circle is at most 1 - cos(a / 2) away from it.
     rows = simplified(circle, 10**7 * np.arange(len(circle)), 0.5, 1e-4)
     assert 2.0 * np.pi / np.arccos(1.0 - 1e-4) / 2.0 <= len(rows) <= 4.0 * np.pi / 0.0141

@@ -64,8 +64,8 @@ def _texts(evaluations: list[Evaluation], draw: str) -> str:
 
 
 def _colour_share(pixels: np.ndarray, colour: str) -> float:
-    wanted = np.array([int(colour[place : place + 2], 16) for place in (1, 3, 5)]) / 255.0
-    return float(np.mean(np.abs(pixels - wanted).max(axis=2) < 0.02))
+    expected = np.array([int(colour[place : place + 2], 16) for place in (1, 3, 5)]) / 255.0
+    return float(np.mean(np.abs(pixels - expected).max(axis=2) < 0.02))
 
 
 @pytest.fixture(scope="module")
@@ -317,8 +317,8 @@ def test_a_doubted_vertical_axis_gives_no_top_view() -> None:
     sides = (flight.groundtruth, flight.estimate)
     assert "Top view (x, y)" in _texts([evaluate(*sides)], "top_view")
     # The body turns about y now: the plane of x and y is not horizontal.
-    turned = Similarity(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3))
-    doubted = evaluate(*(turned.trajectory(side) for side in sides))
+    rotated = Similarity(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3))
+    doubted = evaluate(*(rotated.trajectory(side) for side in sides))
     assert any(remark.code == "up_axis_doubted" for remark in doubted.remarks)
     assert "Paths (x, y)" in _texts([doubted], "top_view")
     assert "Paths (" in _texts([doubted], "side_view")

@@ -35,11 +35,11 @@ def circle(count: int = 200, radius_m: float = 2.0, turns_s: float = 0.1) -> Tra
     """A body on a level circle, facing ahead."""
     angle = 2.0 * np.pi * turns_s * np.arange(count) * 0.05
     positions = radius_m * np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
-    turn = np.stack([np.zeros(count), np.zeros(count), angle], axis=1)
+    rotation = np.stack([np.zeros(count), np.zeros(count), angle], axis=1)
     return Trajectory.from_columns(
         stamps=(NANOSECONDS * 0.05 * np.arange(count)).round().astype(np.int64),
         positions=positions,
-        quaternions=lie.from_rotation_vector(turn),
+        quaternions=lie.from_rotation_vector(rotation),
         name="circle",
     )
 
@@ -100,7 +100,7 @@ def test_the_path_is_coloured_by_its_error_with_a_bar() -> None:
     off = reference.positions + ramp[:, None] * [0.0, 0.0, 1.0]
     off[7] += [0.0, 0.0, 90.0]  # an outlier does not set the scale
     estimate = dataclasses.replace(reference, positions=off)
-    for largest, wanted in ((None, np.percentile(ramp, 99.0)), (0.2, 0.2)):
+    for largest, expected in ((None, np.percentile(ramp, 99.0)), (0.2, 0.2)):
         colours = Colours("error", largest)
         with apply_style():
             (draw,) = motion_drawings(["xy"], [estimate], reference, colours=colours).values()
@@ -109,7 +109,7 @@ def test_the_path_is_coloured_by_its_error_with_a_bar() -> None:
         assert bar.get_ylabel() == "position error [m]"
         coloured = panel.collections[-1]
         np.testing.assert_allclose(coloured.get_array()[8:-1], ramp[8:-2], atol=1e-9)
-        assert coloured.get_clim() == pytest.approx((0.0, wanted), rel=0.02)
+        assert coloured.get_clim() == pytest.approx((0.0, expected), rel=0.02)
         assert coloured.colorbar.extend == "max"
     with pytest.raises(InputError, match="--reference"):
         motion_drawings(["xy"], [reference], None, colours=Colours("error"))["path_xy"]()

@@ -32,12 +32,12 @@ def test_a_clock_is_found_and_applied(
     assert plain["association"]["time_offset_s"] == 0.0
     assert plain["live"]["clock"]["status"] == "significant"
 
-    (found,) = flown["auto"].result["runs"]
-    offset_s = found["association"]["time_offset_s"]
+    (result,) = flown["auto"].result["runs"]
+    offset_s = result["association"]["time_offset_s"]
     assert offset_s == pytest.approx(0.1, abs=5e-3)
     assert any(
-        "applied, estimated from the first" in remark["text"] for remark in found["remarks"]
+        "applied, estimated from the first" in remark["text"] for remark in result["remarks"]
     )
     options = ("--gauge", "yaw", "--time-offset", repr(offset_s))
     recorded = offline(bag, tmp_path, GROUNDTRUTH, [ODOMETRY], *options)["runs"][0]
-    assert_same({**found, "remarks": []}, {**recorded, "remarks": []})
+    assert_same({**result, "remarks": []}, {**recorded, "remarks": []})

@@ -337,19 +337,19 @@ def spoiled(kind: str, share: float) -> list[Message]:
     """Return the messages of an estimate of which some are unusable, in order of measurement."""
     assert ESTIMATED.quaternions is not None
     logged = ESTIMATED.stamps.tolist()
-    stamps, places, turns = (
+    stamps, places, rotations = (
         item.copy() for item in (ESTIMATED.stamps, ESTIMATED.positions, ESTIMATED.quaternions)
     )
     rows = np.flatnonzero(np.random.default_rng(3).random(len(stamps)) < share)
     if kind == "nan":
         places[rows] = np.nan
     elif kind == "zero quaternion":
-        turns[rows] = 0.0
+        rotations[rows] = 0.0
     elif kind == "zero stamp":
         stamps[rows] = 0
     else:
         stamps[rows] = stamps[rows - 1] if share < 1.0 else stamps[0]
-    columns = zip(logged, stamps.tolist(), places, turns, strict=True)
+    columns = zip(logged, stamps.tolist(), places, rotations, strict=True)
     return [(ESTIMATE, ODOM, item, odometry_message(*rest)) for item, *rest in columns]
 
 

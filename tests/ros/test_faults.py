@@ -490,12 +490,12 @@ def test_an_estimate_that_is_too_late_is_told(
 ) -> None:
     from diagnostic_msgs.msg import DiagnosticArray
 
-    said = "dropped: later than the groundtruth buffer of 10 s (max_delay)"
+    text = "dropped: later than the groundtruth buffer of 10 s (max_delay)"
     heard = peer.hear("/diagnostics", DiagnosticArray)
     with evaluating(tmp_path / "out", environment, gauge="yaw") as evaluator:
         replay(late_flight, environment, "--rate", 8)
         peer.until(
-            lambda: any(said in item.message for array in heard for item in array.status),
+            lambda: any(text in item.message for array in heard for item in array.status),
             "diagnostics tell of it",
         )
         assert evaluator.end() == 0
@@ -503,4 +503,4 @@ def test_an_estimate_that_is_too_late_is_told(
     # The result is of all poses that were received.
     assert run["association"]["pairs"] > 300
     assert "too_late" not in run["association"]["dropped"]
-    assert not [remark for remark in run["remarks"] if said in remark["text"]]
+    assert not [remark for remark in run["remarks"] if text in remark["text"]]

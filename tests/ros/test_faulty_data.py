@@ -41,8 +41,8 @@ def columns(source: Trajectory) -> Rows:
 
 def odometry(topic: str, log_times: list[int], rows: Rows) -> list[Message]:
     return [
-        (topic, ODOM, log_time, odometry_message(stamp, place, turn))
-        for log_time, stamp, place, turn in zip(log_times, *rows, strict=True)
+        (topic, ODOM, log_time, odometry_message(stamp, place, rotation))
+        for log_time, stamp, place, rotation in zip(log_times, *rows, strict=True)
     ]
 
 
@@ -50,38 +50,38 @@ def restarted(source: Trajectory) -> Trajectory:
     """Return an estimate that dies in the middle, and comes back at an origin of its own."""
     seconds = source.seconds
     after = source[seconds > 29.0]
-    turn = Rotation.from_euler("z", 100.0, degrees=True)
+    rotation = Rotation.from_euler("z", 100.0, degrees=True)
     assert after.rotations is not None
-    positions = turn.apply(after.positions - after.positions[0])
+    positions = rotation.apply(after.positions - after.positions[0])
     before = source[seconds < 25.0]
     assert before.rotations is not None
     return Trajectory(
         np.concatenate([before.stamps, after.stamps]),
         np.concatenate([before.positions, positions]),
-        Rotation.concatenate([before.rotations, turn * after.rotations]).as_quat(),
+        Rotation.concatenate([before.rotations, rotation * after.rotations]).as_quat(),
     )
 
 
 def estimates(source: Trajectory) -> list[Message]:
     """Return the messages of all estimates, each with its fault."""
-    times, places, turns = columns(source)
+    times, places, rotations = columns(source)
     rows = range(len(times))
     back = round(STEP_BACK_S * NANOSECONDS)
     shifted = [stamp - back * (row > len(times) // 2) for row, stamp in enumerate(times)]
     unset = [0 if row % 10 == 0 else stamp for row, stamp in enumerate(times)]
-    broken_places, broken_turns = places.copy(), turns.copy()
+    broken_places, broken_turns = places.copy(), rotations.copy()
     broken_places[5::50, 1] = np.nan
     broken_places[7::100, 0] = np.inf
     broken_turns[15::50] = 0.0
     broken_turns[25::50, 2] = np.nan
     restart = columns(restarted(source))
     return [
-        *odometry(STEADY, times, (times, places, turns)),
+        *odometry(STEADY, times, (times, places, rotations)),
         *odometry(RESTARTS, restart[0], restart),
-        *odometry(BACKWARDS, times, (shifted, places, turns)),
-        *odometry(UNSET, times, (unset, places, turns)),
-        *odometry(TWICE, times, (times, places, turns)),
-        *odometry(TWICE, [times[row] + 1 for row in rows], (times, places + 5.0, turns)),
+        *odometry(BACKWARDS, times, (shifted, places, rotations)),
+        *odometry(UNSET, times, (unset, places, rotations)),
+        *odometry(TWICE, times, (times, places, rotations)),
+        *odometry(TWICE, [times[row] + 1 for row in rows], (times, places + 5.0, rotations)),
         *odometry(BROKEN, times, (times, broken_places, broken_turns)),
     ]
 

@@ -111,8 +111,8 @@ def test_a_marker_that_flips_ends_neither_the_node_nor_its_results(
     assert truth.quaternions is not None
     flip = np.array([0.0, 1.0, 0.0, 0.0])  # 180 deg about y
     flipped = lie.multiply(truth.quaternions, flip[None])
-    turns = np.where((truth.seconds > FAULT_S)[:, None], flipped, truth.quaternions)
-    flips = dataclasses.replace(truth, quaternions=turns)
+    rotations = np.where((truth.seconds > FAULT_S)[:, None], flipped, truth.quaternions)
+    flips = dataclasses.replace(truth, quaternions=rotations)
     bag = tmp_path / "bag"
     messages = messages_of(flips, GROUNDTRUTH, POSE)
     write_messages(bag, [*messages, *messages_of(flight.estimate, ODOMETRY, ODOM)])

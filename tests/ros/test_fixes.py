@@ -55,10 +55,10 @@ def test_fixes_that_come_late(peer: Peer, environment: dict[str, str], tmp_path:
     for name, own in options.items():
         words = ["--lengths", "4,8", "--lever-arm", ARM, *own]
         recorded = offline(bag, tmp_path, GROUNDTRUTH, [ODOMETRY], *words)
-        found = done[name].result
-        assert_same(found, recorded)
-        assert_same(found["groundtruth"]["fixes"], recorded["groundtruth"]["fixes"])
-        [run] = found["runs"]
+        result = done[name].result
+        assert_same(result, recorded)
+        assert_same(result["groundtruth"]["fixes"], recorded["groundtruth"]["fixes"])
+        [run] = result["runs"]
         assert run["association"]["method"] == "groundtruth-stamps"
         assert run["noise_corrected_ate"] is not None
     assert "the alignment uses gauge yaw" in done["plain"].said
@@ -86,16 +86,16 @@ def test_a_wheeled_robot_s_bag(
     for name, gauge in {"planar": "planar", "plain": "yaw"}.items():
         words = ["--gauge", gauge, "--lengths", "20,40,80", "--datum", datum]
         recorded = offline(bag, tmp_path, "/fix", [odometry], *words)
-        found = done[name].result
+        outcome = done[name].result
         # Another gauge cannot be tried on the pairs of a live run, so it has no advice there.
-        for result in (found, recorded):
+        for result in (outcome, recorded):
             [run] = result["runs"]
             assert {diagnosi["cause"] for diagnosi in run["diagnosis"]} <= {"flat"}
             del run["diagnosis"]
             run["remarks"] = [remark for remark in run["remarks"] if remark["code"] != "flat"]
-        assert_same(found, recorded)
-        assert_same(found["groundtruth"]["fixes"], recorded["groundtruth"]["fixes"])
-        [run] = found["runs"]
+        assert_same(outcome, recorded)
+        assert_same(outcome["groundtruth"]["fixes"], recorded["groundtruth"]["fixes"])
+        [run] = outcome["runs"]
         known = husky["wheel_odometry"][f"{gauge}/none"]
         assert run["association"]["pairs"] == husky["wheel_odometry"]["pairs"]
         assert run["ate"]["position_m"]["rmse"] == pytest.approx(known["ate_3d"]["rmse"], rel=1e-9)

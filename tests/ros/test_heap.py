@@ -36,9 +36,9 @@ libc.fflush(None)
 @pytest.mark.parametrize("heaps", ["one", "default"])
 def test_threads_share_one_heap(heaps: str) -> None:
     command = [sys.executable, "-c", ALLOCATE, heaps]
-    found = subprocess.run(command, capture_output=True, text=True, check=False)
-    if found.stderr == "no glibc\n":
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.stderr == "no glibc\n":
         pytest.skip("another C library")
-    assert found.returncode == 0, found.stderr
-    count = found.stdout.count("<heap nr=")
+    assert result.returncode == 0, result.stderr
+    count = result.stdout.count("<heap nr=")
     assert (count == 1) if heaps == "one" else (count > 1)

@@ -66,8 +66,8 @@ def launched(file: Path = FILE, **given: str) -> Any:
         entity["argument"]: entity["default_value"] for entity in entities if "argument" in entity
     }
     [action] = [entity for entity in entities if "argument" not in entity]
-    found = action["function"]({**context, **given})
-    return found[0] if file == FILE else found
+    result = action["function"]({**context, **given})
+    return result[0] if file == FILE else result
 
 
 @pytest.mark.usefixtures("stand_ins")
@@ -87,8 +87,8 @@ def test_what_is_given_stands_over_the_file_and_nothing_else_does() -> None:
     assert launched()["parameters"] == []
     assert launched(params_file="judge.yaml")["parameters"] == ["judge.yaml"]
     for given, value in (("true", True), ("false", False)):
-        found = launched(params_file="judge.yaml", use_sim_time=given)["parameters"]
-        assert found == ["judge.yaml", {"use_sim_time": value}]
+        result = launched(params_file="judge.yaml", use_sim_time=given)["parameters"]
+        assert result == ["judge.yaml", {"use_sim_time": value}]
 
 
 @pytest.mark.usefixtures("stand_ins")

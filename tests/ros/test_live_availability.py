@@ -71,12 +71,12 @@ def corrected(flight: Trajectory, topic: str, seed: int) -> list[Message]:
     rows = zip(flight.stamps.tolist(), flight.positions, flight.quaternions, strict=True)
     transforms = [(at, ("odom", "base", at, *pose)) for at, *pose in rows]
     begin, end = flight.stamps[[0, -1]].tolist()
-    turns = lie.from_rotation_vector(random.normal(scale=0.05, size=(20, 3)))
+    rotations = lie.from_rotation_vector(random.normal(scale=0.05, size=(20, 3)))
     for row, at in enumerate(range(begin, end, 1_600_000_000)):
         moved = random.normal(scale=0.5, size=3)
-        transforms.append((at + 20_000_000, ("map", "odom", at + 10**9, moved, turns[row])))
-    at, (*frames, stamp, moved, turn) = transforms[len(flight) // 2]
-    transforms[len(flight) // 2] = at, (*frames, stamp + 10**16, moved, turn)
+        transforms.append((at + 20_000_000, ("map", "odom", at + 10**9, moved, rotations[row])))
+    at, (*frames, stamp, moved, rotation) = transforms[len(flight) // 2]
+    transforms[len(flight) // 2] = at, (*frames, stamp + 10**16, moved, rotation)
     transforms = sorted(transforms, key=lambda transform: transform[0])
     times = sorted(
         random.integers(15_000_000, 150_000_000, len(transforms)) + [a for a, _ in transforms]
@@ -128,14 +128,14 @@ def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path:
     estimate = f"{ESTIMATE}:map.base" if kind == TRANSFORMS else ESTIMATE
     expected = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [estimate], *OPTIONS, motion)
     [run], [recorded] = live.result["runs"], expected["runs"]
-    found, wanted = run["as_available"], recorded["as_available"]
-    assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
-    assert_same(found, wanted)
-    assert wanted["why_withheld"] == ""
+    result, required = run["as_available"], recorded["as_available"]
+    assert (result.pop("received"), required.pop("received")) == ("node", "log")
+    assert_same(result, required)
+    assert required["why_withheld"] == ""
     if kind == TRANSFORMS:
-        assert wanted["corrections"]["age_s"]["mean"] > 0.5
+        assert required["corrections"]["age_s"]["mean"] > 0.5
     elif kind != PATH:
-        assert wanted["late_messages"] > 0.05 * len(FLIGHT.estimate)
+        assert required["late_messages"] > 0.05 * len(FLIGHT.estimate)
 
 
 @pytest.mark.parametrize("size", [77, 300])
@@ -173,11 +173,11 @@ def test_without_a_twist_one_sentence_withholds_the_numbers(kind: str, tmp_path:
     assert errors.numbers == {}
     now = remarks_about(live.run, estimate, estimate.snapshot(), {}, LIMITS)
     [told] = [item for item in now if item.code == "reception_clock"]
-    said = "the messages have no twist; use --as-available constant"
-    assert told.text == f"as available: {said}"
+    text = "the messages have no twist; use --as-available constant"
+    assert told.text == f"as available: {text}"
     live.end()
     [run] = live.result["runs"]
-    assert run["as_available"]["why_withheld"] == said
+    assert run["as_available"]["why_withheld"] == text
     assert run["as_available"]["position_m"] is None
 
 
@@ -225,7 +225,7 @@ def as_stored(sent: list[Message], poses: Trajectory) -> list[Message]:
     assert receptions is not None
     first = dict(zip(poses.stamps[::-1].tolist(), receptions.times[::-1].tolist(), strict=True))
     later = [] if receptions.corrected is None else np.unique(receptions.corrected).tolist()
-    found: list[Message] = []
+    result: list[Message] = []
     for topic, kind, _, payload in sent[::-1]:  # the first correction may be missing
         parent, stamp = "", 0
         if kind == TRANSFORMS:
@@ -237,9 +237,9 @@ def as_stored(sent: list[Message], poses: Trajectory) -> list[Message]:
         if parent == "map":
             at = later.pop() if later else None
         if at is not None:
-            found.append((topic, kind, at, payload))
+            result.append((topic, kind, at, payload))
     assert not later
-    return found[::-1]
+    return result[::-1]
 
 
 @pytest.mark.ros
@@ -294,13 +294,13 @@ def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
         )
         assert -1 <= since_tick.min() <= since_tick.max() <= TICK_NS + 1
         recorded: Any = offline(tmp_path / f"bag_{number}", tmp_path, TRUTH, [source], *options)
-        found = json.loads((folder / "result.json").read_text())["runs"][0]["as_available"]
-        wanted = recorded["runs"][0]["as_available"]
-        assert found["why_withheld"] == ""
-        assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
-        assert_same(found, wanted)
+        result = json.loads((folder / "result.json").read_text())["runs"][0]["as_available"]
+        expected = recorded["runs"][0]["as_available"]
+        assert result["why_withheld"] == ""
+        assert (result.pop("received"), expected.pop("received")) == ("node", "log")
+        assert_same(result, expected)
         if source == ODOMETRY:
-            assert found["late_messages"] > 0.05 * len(poses)
+            assert result["late_messages"] > 0.05 * len(poses)
         else:
             # From its timestamp on, it would be over a second younger.
-            assert found["corrections"]["age_s"]["mean"] > 0.5
+            assert result["corrections"]["age_s"]["mean"] > 0.5

@@ -57,8 +57,8 @@ def frozen(source: Trajectory, *, rotates: bool) -> Trajectory:
     seconds = source.seconds
     inside = (seconds > FREEZE_S[0]) & (seconds < FREEZE_S[1])
     rows = np.where(inside, inside.argmax(), np.arange(len(source)))
-    turned = source.quaternions if rotates else source.known_quaternions[rows]
-    return dataclasses.replace(source, positions=source.positions[rows], quaternions=turned)
+    rotated = source.quaternions if rotates else source.known_quaternions[rows]
+    return dataclasses.replace(source, positions=source.positions[rows], quaternions=rotated)
 
 
 def diverging(source: Trajectory) -> Trajectory:

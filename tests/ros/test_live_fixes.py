@@ -98,12 +98,12 @@ def test_live_is_offline(
 ) -> None:
     live = fed(tmp_path / "live", late_s, rule, lever_arm=LEVER_TEXT, gauge=gauge or None)
     live.end()
-    found = live.result
+    result = live.result
     options = [*options, *(["--gauge", gauge] if gauge else [])]
     expected = recorded(tmp_path / "recorded", messages(), *options)
-    assert_same(found, expected)
-    assert_same(found["groundtruth"]["fixes"], expected["groundtruth"]["fixes"])
-    [run] = found["runs"]
+    assert_same(result, expected)
+    assert_same(result["groundtruth"]["fixes"], expected["groundtruth"]["fixes"])
+    [run] = result["runs"]
     assert run["noise_corrected_ate"] is not None
     assert run["association"]["method"] == "groundtruth-stamps"
     snapshot = live.run.estimates[0].snapshot()
@@ -178,12 +178,12 @@ def test_a_restart_parts_the_fixes(tmp_path: Path, batch: int) -> None:
         [item for item in feed if item[2] <= (after if item[0] == ESTIMATE else first - 1)],
         [item for item in feed if item[2] >= (before if item[0] == ESTIMATE else first)],
     ]
-    found = [result["runs"][0] for result in live.results]
-    for number, (run, part) in enumerate(zip(found, parts, strict=True)):
+    outcome = [result["runs"][0] for result in live.results]
+    for number, (run, part) in enumerate(zip(outcome, parts, strict=True)):
         folder = tmp_path / str(number)
         [expected] = recorded(folder, part, "--datum", str(DATUM), *YAW)["runs"]
         assert_same(run, expected)
-    assert found[0]["association"]["dropped"]["in_estimate_gap"] > 0
+    assert outcome[0]["association"]["dropped"]["in_estimate_gap"] > 0
 
 
 @pytest.mark.parametrize("missing", ["some", "all"])
@@ -209,12 +209,12 @@ def test_fixes_without_height_are_used_as_offline(
         )
         assert live.run.estimates[0].evaluator.pairs == 0
         return
-    found = live.result
+    result = live.result
     expected = recorded(tmp_path / "recorded", feed, "--gauge", gauge)
-    assert_same(found, expected)
-    assert_same(found["groundtruth"]["fixes"], expected["groundtruth"]["fixes"])
+    assert_same(result, expected)
+    assert_same(result["groundtruth"]["fixes"], expected["groundtruth"]["fixes"])
     dropped = len(fixes) - len(fixes) * 2 // 3 if gauge == "yaw" else 0
-    assert found["groundtruth"]["fixes"]["dropped"].get("no_height", 0) == dropped
+    assert result["groundtruth"]["fixes"]["dropped"].get("no_height", 0) == dropped
 
 
 def test_a_sparse_estimate_that_bends_is_told_live_as_offline(tmp_path: Path) -> None:
@@ -288,9 +288,9 @@ def test_finish_does_not_ask_for_a_gauge(
     live = fed(tmp_path / "live", 0.0, FixRule(), lever_arm=LEVER_TEXT)
     live.end()
     assert main(["finish", str(live.folder)]) == 0
-    said = capsys.readouterr().out
-    assert "aligned by yaw" in said
-    assert "--modality" not in said
+    text = capsys.readouterr().out
+    assert "aligned by yaw" in text
+    assert "--modality" not in text
 
 
 def test_fixes_that_are_none_are_counted_and_told(tmp_path: Path) -> None:

@@ -62,8 +62,8 @@ def hints_of(
     of_clocks: bool = True,
 ) -> list[Remark]:
     protocol = Protocol(gauge="yaw")
-    found = associate(groundtruth, estimate, protocol.association)
-    pairs = PairedStates(found.groundtruth, found.estimate)
+    result = associate(groundtruth, estimate, protocol.association)
+    pairs = PairedStates(result.groundtruth, result.estimate)
     return hints_about(pairs, protocol, bodies, (), of_clocks=of_clocks)
 
 
@@ -72,12 +72,12 @@ def test_a_sound_run_has_no_hints(flight: Simulation) -> None:
 
 
 def test_another_body_is_told_with_the_parameter(flight: Simulation) -> None:
-    found = {hint.subject: hint for hint in hints(flight, marker=True)}
-    assert found.keys() == {"frames", "body"}
-    assert {item.level for item in found.values()} == {Level.WARNING}
+    result = {hint.subject: hint for hint in hints(flight, marker=True)}
+    assert result.keys() == {"frames", "body"}
+    assert {item.level for item in result.values()} == {Level.WARNING}
     # The same pose as in a recorded evaluation, with the names of parameters.
-    assert "with hand_eye:=0,0,0," in found["body"].text
-    assert "of body 'marker' and the estimate of 'base_link'" in found["frames"].text
+    assert "with hand_eye:=0,0,0," in result["body"].text
+    assert "of body 'marker' and the estimate of 'base_link'" in result["frames"].text
 
 
 @pytest.mark.parametrize("is_constant", [False, True])
@@ -88,9 +88,9 @@ def test_a_rotation_of_the_alignment_is_no_hint_in_the_first_seconds(
     estimate = flight.estimate[flight.estimate.seconds < 7.0]
     assert estimate.quaternions is not None
     if is_constant:
-        turn = lie.from_rotation_vector(np.radians([0.0, 0.0, 20.0]))
+        rotation = lie.from_rotation_vector(np.radians([0.0, 0.0, 20.0]))
         estimate = dataclasses.replace(
-            estimate, quaternions=lie.multiply(turn, estimate.quaternions)
+            estimate, quaternions=lie.multiply(rotation, estimate.quaternions)
         )
     else:
         off = np.exp(-estimate.seconds / 0.5)[:, None] * [0.0, 0.3, 0.2]
@@ -138,8 +138,8 @@ def test_far_clocks_are_no_other_run(apart_s: int, duration_s: float, told: set[
 
 def test_another_run_is_told_in_time() -> None:
     one, other = (simulated(seed, "drone", "walk", 80.0) for seed in (9001, 9002))
-    [found] = hints_of(one.truth, other.estimate)
-    assert found.subject == "other_run"
+    [result] = hints_of(one.truth, other.estimate)
+    assert result.subject == "other_run"
 
 
 def test_mistakes_of_conventions_are_told_as_an_evaluation_tells_them(flight: Simulation) -> None:
@@ -149,10 +149,10 @@ def test_mistakes_of_conventions_are_told_as_an_evaluation_tells_them(flight: Si
             flight.estimate, positions=1000.0 * flight.estimate.positions
         ),
     )
-    [found] = hints(flight)
-    assert found.subject == "unit"
+    [result] = hints(flight)
+    assert result.subject == "unit"
     # The node has no such parameter.
-    assert "--correct unit" in found.text
+    assert "--correct unit" in result.text
 
 
 def test_few_pairs_are_no_reason_for_a_hint() -> None:
@@ -181,9 +181,9 @@ def test_nobody_waits_for_what_is_computed_beside() -> None:
     assert task.take() is None
     assert not task.is_due
     go_on.set()
-    found: list[int] = []
-    until(lambda: found or [found.append(item) for item in [task.take()] if item], "it is found")
-    assert found == [7]
+    result: list[int] = []
+    until(lambda: result or [result.append(item) for item in [task.take()] if item], "it is found")
+    assert result == [7]
     assert task.take() is None
     until(lambda: task.is_due, "something else may be computed")
     task.close()
@@ -208,9 +208,9 @@ def test_a_bag_has_the_marker_among_its_static_transforms(tmp_path: Path) -> Non
         ("/tf_static", TRANSFORMS, 10**9, transforms_message(item)) for item in (inner, outer)
     ]
     write_messages(tmp_path / "bag", messages)
-    found = known_hand_eye(f"{tmp_path / 'bag'}:/tf_static:base_link.marker")
-    assert found.lever_m == pytest.approx(MOUNTED.lever_m)
-    assert abs(found.rotation_xyzw @ MOUNTED.rotation_xyzw) == pytest.approx(1.0)
-    assert (found.body, found.marker) == ("base_link", "marker")
+    result = known_hand_eye(f"{tmp_path / 'bag'}:/tf_static:base_link.marker")
+    assert result.lever_m == pytest.approx(MOUNTED.lever_m)
+    assert abs(result.rotation_xyzw @ MOUNTED.rotation_xyzw) == pytest.approx(1.0)
+    assert (result.body, result.marker) == ("base_link", "marker")
     with pytest.raises(InputError, match="unknown frame markr"):
         known_hand_eye(f"{tmp_path / 'bag'}:/tf_static:base_link.markr")

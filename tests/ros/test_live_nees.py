@@ -124,9 +124,9 @@ def test_live_integrity_is_that_of_the_bag_and_tells_of_hazards(tmp_path: Path) 
     words = ("--gauge", "yaw", "--align-states", "1", "--lengths", "none", *OPTIONS, *options)
     [run] = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [ESTIMATE], *words)["runs"]
     assert snapshot.integrity is not None
-    found = integrity_json(snapshot.integrity)
-    assert found["risk"] == 0.9
-    for live, recorded in zip(found["parts"], run["integrity"]["parts"], strict=True):
+    result = integrity_json(snapshot.integrity)
+    assert result["risk"] == 0.9
+    for live, recorded in zip(result["parts"], run["integrity"]["parts"], strict=True):
         assert live["areas"] == pytest.approx(recorded["areas"], abs=1e-9)
         for name in ("protection_level_median", "error_median", "inflation_999"):
             assert live[name] == pytest.approx(recorded[name], rel=1e-9)
@@ -213,9 +213,9 @@ def test_a_topic_may_change_to_a_type_with_covariances(tmp_path: Path) -> None:
     assert stream.status.poses == len(estimate)
     recorded = pairs_of(live.folder)
     assert recorded.estimate.covariances is not None
-    said = recorded.estimate.covariances.any(axis=(1, 2))
+    text = recorded.estimate.covariances.any(axis=(1, 2))
     paired = np.searchsorted(estimate.stamps, recorded.estimate.stamps)
-    np.testing.assert_array_equal(said, paired >= middle)
+    np.testing.assert_array_equal(text, paired >= middle)
 
 
 def test_alarms_have_limits_of_nees() -> None:

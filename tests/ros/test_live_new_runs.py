@@ -167,8 +167,8 @@ def test_restarts_while_the_groundtruth_is_held_begin_runs(
     assert live.run.holds == ends_early
     live.end()
     assert live.begun == ["vio jumped"] * 2
-    found = read_stamps(live)
-    assert [item[0] for item in found[1:]] == stamps[rows].tolist()
+    outcome = read_stamps(live)
+    assert [item[0] for item in outcome[1:]] == stamps[rows].tolist()
     ends = [0, *stamps[rows].tolist(), feed[-1][2] + 1]
     runs = zip(live.results, itertools.pairwise(ends), strict=True)
     for number, (result, (first, end)) in enumerate(runs):

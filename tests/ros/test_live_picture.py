@@ -97,14 +97,14 @@ def assert_drawn(
 
     The picture may have `more` poses of the estimate.
     """
-    for entity, wanted in ((FRAME, estimate), (GROUNDTRUTH_ENTITY, groundtruth)):
-        if wanted is None:
+    for entity, expected in ((FRAME, estimate), (GROUNDTRUTH_ENTITY, groundtruth)):
+        if expected is None:
             continue
         stamps, _ = picture.rows(f"{entity}/pose", "Transform3D:translation")
         path = np.concatenate(picture.path(entity, int(stamps[-1])))
-        distances = np.linalg.norm(path[:, None] - np.concatenate([wanted, *more]), axis=2)
+        distances = np.linalg.norm(path[:, None] - np.concatenate([expected, *more]), axis=2)
         assert distances.min(axis=1).max() < 1e-5
-        assert distances[:, : len(wanted)].min(axis=0).max() < 0.6
+        assert distances[:, : len(expected)].min(axis=0).max() < 0.6
     _, coloured = picture.strips(f"{FRAME}/by_error")
     points = np.concatenate(coloured[-1])
     distances = np.linalg.norm(points[:, None] - np.concatenate([estimate, *more]), axis=2)

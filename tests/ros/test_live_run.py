@@ -161,10 +161,10 @@ def test_a_folder_without_a_run_is_one_sentence(
     folder.mkdir()
     prepare(folder)
     assert main(["finish", str(folder)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") <= 3
-    assert complaint in " ".join(said.err.split())
+    text = capsys.readouterr()
+    assert text.out == ""
+    assert text.err.count("\n") <= 3
+    assert complaint in " ".join(text.err.split())
 
 
 def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
@@ -237,8 +237,8 @@ def test_the_evaluation_of_a_long_run_continues_after_the_end_of_the_node(
     writing = result_writing.ResultWriting(lambda: run, lambda text, _: log.append(text))
     assert writing.conclude(run)
     assert run.finisher.is_busy
-    [said] = log
-    assert f"trajeval finish {run.folder}" in said
+    [message] = log
+    assert f"trajeval finish {run.folder}" in message
     until(run.finisher.poll, "the process ends")
     assert not run.finisher.trouble
     assert {"result.json", "errors.npz"} <= {file.name for file in run.folder.iterdir()}
@@ -263,8 +263,8 @@ def test_an_autosave_that_is_late_says_so(tmp_path: Path, monkeypatch: pytest.Mo
         told.append(autosave.why_late(finisher, 30.0))
     # Evaluations of 1, 2, 4 and 8 s, and 5 % of a core.
     assert np.diff(written)[:3] == pytest.approx([30.0, 40.0, 80.0], abs=6.0)
-    said = [item for item in told if item]
-    assert [item.partition(" instead of 30 s")[0] for item in said] == [
+    text = [item for item in told if item]
+    assert [item.partition(" instead of 30 s")[0] for item in text] == [
         "result.json is written every 40 s",
         "result.json is written every 80 s",
         "result.json is written every 160 s",

@@ -31,14 +31,14 @@ FAULTS_SEEN = ("jump 0.3 m", "yaw 1 deg/s")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Any, Any]]:
     """Messages of runs with faults, and what `trajeval watch` says of each run."""
     folder = tmp_path_factory.mktemp("runs")
-    found = []
+    result = []
     for seed, fault in enumerate(FAULTS_SEEN, start=4):
         bag = watched_bag(folder, str(seed), seed, fault, correction_m=0.4)
         output = folder / f"{seed}.json"
         command = ["watch", *all_sources(bag, "/tf:map.odom")]
         assert main([*command, "--json", str(output), "--quiet"]) == 0
-        found.append((recorded(bag), json.loads(output.read_text())))
-    return found
+        result.append((recorded(bag), json.loads(output.read_text())))
+    return result
 
 
 def recorded(bag: Path) -> list[tuple[str, str, int, bytes]]:
@@ -102,10 +102,10 @@ def test_alarms_of_any_ticks_are_those_of_the_recording(
         begun.extend(report.begun)
         alarms.update({id(alarm): alarm for alarm in watch.book.alarms})
 
-    turn = iter(range(10**9))
-    looks(watch, messages, lambda: ticks[next(turn) % len(ticks)], see)
+    rotation = iter(range(10**9))
+    looks(watch, messages, lambda: ticks[next(rotation) % len(ticks)], see)
     origin = watch.watchdog.origin
-    found = sorted(
+    result = sorted(
         (alarm.signal, origin + round(alarm.begin_s * SECOND), alarm.is_over, alarm.peak)
         for alarm in alarms.values()
     )
@@ -114,9 +114,9 @@ def test_alarms_of_any_ticks_are_those_of_the_recording(
         for alarm in offline["alarms"]
     )
     assert {"map_correction_m_1s"} <= {item[0] for item in expected}
-    assert [item[0] for item in found] == [item[0] for item in expected]
-    assert [item[2] for item in found] == [item[2] for item in expected]
-    begins, peaks = (np.array([item[column] for item in found]) for column in (1, 3))
+    assert [item[0] for item in result] == [item[0] for item in expected]
+    assert [item[2] for item in result] == [item[2] for item in expected]
+    begins, peaks = (np.array([item[column] for item in result]) for column in (1, 3))
     np.testing.assert_allclose(begins, [item[1] for item in expected], rtol=0.0, atol=1)
     np.testing.assert_allclose(peaks, [item[3] for item in expected], rtol=1e-9)
     assert sorted(item.subject for item in begun) == [item[0] for item in expected]

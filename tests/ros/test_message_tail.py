@@ -58,8 +58,8 @@ def test_messages_since_a_time_are_in_order_of_arrival() -> None:
     begins = {0: round(2.7 * SECOND), 1: round(2.5 * SECOND)}
 
     def since(before: set[int]) -> list[tuple[int, list[float]]]:
-        found = tail.since(begins, before)
-        return [(source, (item.times / SECOND).tolist()) for source, item in found]
+        result = tail.since(begins, before)
+        return [(source, (item.times / SECOND).tolist()) for source, item in result]
 
     assert since(set()) == [(1, [2.5]), (0, [3.0, 4.0])]
     assert since({0}) == [(0, [2.0]), (1, [2.5]), (0, [3.0, 4.0])]

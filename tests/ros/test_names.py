@@ -50,14 +50,14 @@ def test_names_are_those_of_the_namespace_and_twins_are_told_of(
 
 
 def test_a_terminal_without_a_size_gets_whole_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    ours, theirs = pty.openpty()  # as `ros2 launch` makes it with emulate_tty
+    actual, theirs = pty.openpty()  # as `ros2 launch` makes it with emulate_tty
     with os.fdopen(theirs, "w") as terminal:
         monkeypatch.setattr(sys, "stderr", terminal)
         line, parts = StatusLine(), ["vio_odometry: ATE 0.141 m " * 10, "slam_path: no pairs yet"]
         assert line.show(parts) == "  |  ".join(parts)
         assert line.show(parts) is None  # not each second
         line.clear()
-    os.set_blocking(ours, False)
+    os.set_blocking(actual, False)
     with pytest.raises(OSError):  # noqa: PT011 - nothing was written
-        os.read(ours, 1)
-    os.close(ours)
+        os.read(actual, 1)
+    os.close(actual)

@@ -232,10 +232,10 @@ def test_relative_errors_are_published_as_sub_trajectories_end(heard: Heard) -> 
 
 def test_the_alignment_moves_the_estimate_onto_the_groundtruth(heard: Heard) -> None:
     [run], transform = heard.saved["result"]["runs"], heard.messages["alignment"][-1]
-    moved, turned = transform.transform.translation, transform.transform.rotation
+    moved, rotated = transform.transform.translation, transform.transform.rotation
     alignment = run["alignment"]
     assert [moved.x, moved.y, moved.z] == pytest.approx(alignment["translation_m"], abs=0.05)
-    quaternion = np.array([turned.x, turned.y, turned.z, turned.w])
+    quaternion = np.array([rotated.x, rotated.y, rotated.z, rotated.w])
     assert abs(quaternion @ alignment["rotation_xyzw"]) == pytest.approx(1.0, abs=1e-4)
     assert transform.header.frame_id == heard.saved["result"]["groundtruth"]["frame"]
     assert transform.child_frame_id == run["estimate"]["frame"]

@@ -20,21 +20,21 @@ PAGE = ROOT / "docs/tutorials/live_run.md"
 
 
 def test_the_tutorial_runs_as_it_stands(environment: dict[str, str], tmp_path: Path) -> None:
-    found = environment_with_programs(tmp_path / "bin", **environment)
+    result = environment_with_programs(tmp_path / "bin", **environment)
     node, *others = commands(PAGE.read_text(encoding="utf-8"))
     finish = others.pop()
     assert node.startswith("ros2 run trajeval_ros evaluator")
     assert finish.startswith("trajeval finish")
 
-    with subprocess.Popen(["bash", "-c", node], cwd=tmp_path, env=found) as process:
+    with subprocess.Popen(["bash", "-c", node], cwd=tmp_path, env=result) as process:
         try:
             for command in others:
                 if not command.startswith("ros2 topic"):  # of ros2cli, which has no wheel
-                    typed(command, tmp_path, found)
+                    typed(command, tmp_path, result)
             process.send_signal(signal.SIGINT)
             assert process.wait(PATIENCE_S) == 0
         finally:
             process.kill()
     (run,) = json.loads((tmp_path / "live/result.json").read_text())["runs"]
     assert run["association"]["pairs"] > 100
-    typed(finish, tmp_path, found)
+    typed(finish, tmp_path, result)

@@ -51,9 +51,9 @@ def test_a_wrong_parameter_is_one_sentence(
     values["output"] = values["output"].replace("FILE", str(file))
     done = run_evaluator(environment, *parameters(**values))
     assert done.returncode == 2, done.stderr
-    ours = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
-    assert len(ours) == 1, done.stderr
-    assert complaint in ours[0]
+    actual = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
+    assert len(actual) == 1, done.stderr
+    assert complaint in actual[0]
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
 
@@ -73,8 +73,8 @@ def test_odd_parameters_are_understood_and_an_existing_folder_is_left_alone(
         assert evaluator.end() == 2
     assert "no pairs of estimate and groundtruth" in evaluator.said
     assert [path.name for path in kept.parent.iterdir()] == ["notes.txt"]
-    found = {path.name for path in (tmp_path / "out_2").iterdir()}
-    assert found == {"groundtruth.states", "v.states", "metrics.prom"}
+    result = {path.name for path in (tmp_path / "out_2").iterdir()}
+    assert result == {"groundtruth.states", "v.states", "metrics.prom"}
 
 
 def test_a_node_that_only_watches_names_unknown_parameters(
@@ -124,5 +124,5 @@ def test_the_log_and_diagnostics_show_control_characters(
     assert r"\x1b[31m" in refused.reason
     values = [value.value for array in heard for status in array.status for value in status.values]
     assert shown in values
-    said = [evaluator.said, answer, refused.reason, *values]
-    assert not {"\x1b", "\u202e"} & set("".join(said))
+    text = [evaluator.said, answer, refused.reason, *values]
+    assert not {"\x1b", "\u202e"} & set("".join(text))

@@ -47,30 +47,30 @@ def cloud(
 @pytest.mark.parametrize("layout", [{}, {"before": 5}, {"height": 4, "padding": 7, "before": 2}])
 def test_coordinates_of_any_layout(order: str, kind: int, layout: dict[str, int]) -> None:
     points = np.random.default_rng(0).normal(size=(120, 3)).astype(np.float32)
-    found = points_of(cloud(points, kind, order=order, **layout))
-    assert found is not None
-    assert (found == points).all()
+    result = points_of(cloud(points, kind, order=order, **layout))
+    assert result is not None
+    assert (result == points).all()
 
 
 @pytest.mark.parametrize("count", [0, 1, MOST_POINTS, MOST_POINTS + 1, 10_080])
 def test_large_clouds_are_thinned_evenly(count: int) -> None:
     points = np.arange(3.0 * count).reshape(-1, 3)
-    found = points_of(cloud(points, FLOAT64))
-    assert found is not None
-    assert len(found) == min(count, MOST_POINTS)
-    steps = np.diff(found[:, 0] / 3.0)
+    result = points_of(cloud(points, FLOAT64))
+    assert result is not None
+    assert len(result) == min(count, MOST_POINTS)
+    steps = np.diff(result[:, 0] / 3.0)
     most = -(-count // MOST_POINTS)
     assert ((steps >= 1) & (steps <= most)).all()
     if count:
-        assert (found[[0, -1]] == points[[0, -1]]).all()
+        assert (result[[0, -1]] == points[[0, -1]]).all()
 
 
 def test_points_without_return_are_left_out() -> None:
     points = np.ones((4, 3))
     points[1, 2], points[2, 0] = np.nan, np.inf
-    found = points_of(cloud(points))
-    assert found is not None
-    assert len(found) == 2
+    result = points_of(cloud(points))
+    assert result is not None
+    assert len(result) == 2
 
 
 @pytest.mark.parametrize(

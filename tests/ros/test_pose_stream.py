@@ -40,13 +40,13 @@ def test_batches_do_not_matter(seed: int, lone: int, cuts: list[int], kind: str)
     states = source(seed, lone)
     payloads = [payload for *_, payload in messages_of(states, "/vio", kind)]
     arrived = 10**18 + 50_000_000 * np.arange(COUNT) + 7
-    stream, found, rows = PoseStream("/vio", covariances=True), [], []
+    stream, result, rows = PoseStream("/vio", covariances=True), [], []
     for part in np.split(np.arange(COUNT), cuts):
         block, of = stream.poses(kind, [payloads[row] for row in part], arrived[part])
-        found.append(block)
+        result.append(block)
         rows += (part[of] if len(part) else of).tolist()
-    found.append(stream.last_poses())
-    live = reduce(joined, [block for block in found if len(block)])
+    result.append(stream.last_poses())
+    live = reduce(joined, [block for block in result if len(block)])
     kept = np.delete(np.arange(COUNT), lone)
     np.testing.assert_array_equal(live.stamps, states.stamps[kept])
     np.testing.assert_array_equal(live.positions, states.positions[kept])

@@ -67,18 +67,18 @@ def test_all_arrives_in_order_and_with_the_clock(
 ) -> None:
     flight = flights / storage
     with listening({**TYPES, **CLOCK}, environment, tmp_path) as received:
-        said = replay(flight, environment, "--rate", rate)
+        text = replay(flight, environment, "--rate", rate)
     sent = recorded(flight)
     for topic, kind in TYPES.items():
         payloads = [payload for _, payload in sent[topic]]
         assert_same(received[topic], payloads)
         assert stamps_ns(received[topic], kind) == stamps_ns(payloads, kind)
-        assert f"{len(sent[topic])} on {topic}" in said
+        assert f"{len(sent[topic])} on {topic}" in text
     clock = clock_ns(received["/clock"])
     assert clock == sorted(clock)
     times = [stamp for messages in sent.values() for stamp, _ in messages]
     assert min(times) <= clock[0] < clock[-1] == max(times)
-    took = re.search(r"in ([\d.]+) s \(rate", said)
+    took = re.search(r"in ([\d.]+) s \(rate", text)
     assert took is not None
     # On a machine that is busy it may take longer.
     assert float(took[1]) > (max(times) - min(times)) / 1e9 / rate - 0.1
@@ -89,7 +89,7 @@ def test_a_part_of_one_topic_under_another_name(
 ) -> None:
     renamed = {"/renamed": TYPES[ODOMETRY], **CLOCK}
     with listening(renamed, environment, tmp_path) as received:
-        said = replay(
+        text = replay(
             flight, environment, "--topic", ODOMETRY, "--start", 5, "--end", 12.5, "--rate", 5,
             "--no-clock", "--ros-args", "-r", f"{ODOMETRY}:=/renamed",
         )  # fmt: skip
@@ -98,7 +98,7 @@ def test_a_part_of_one_topic_under_another_name(
     window = range(first + 5 * 10**9, first + round(12.5 * 10**9) + 1)
     assert_same(received["/renamed"], [item for time, item in sent[ODOMETRY] if time in window])
     assert received["/clock"] == []
-    assert GROUNDTRUTH not in said
+    assert GROUNDTRUTH not in text
 
 
 def test_a_bag_of_ros1_is_encoded_anew(
@@ -108,8 +108,8 @@ def test_a_bag_of_ros1_is_encoded_anew(
     pose = "geometry_msgs/msg/PoseStamped"
     topics = dict.fromkeys(["/ORB_SLAM", "/S_PTAM", "/groundtruth"], pose)
     with listening(topics, environment, tmp_path) as received:
-        said = replay(bag, environment, "--end", 300, "--rate", 50)
-    assert "/ORB-SLAM is published as /ORB_SLAM" in said
+        text = replay(bag, environment, "--end", 300, "--rate", 50)
+    assert "/ORB-SLAM is published as /ORB_SLAM" in text
     with AnyReader([bag]) as reader:
         end = reader.start_time + 300 * 10**9 + 1
         for name in ("/ORB-SLAM", "/S-PTAM", "/groundtruth"):
@@ -118,16 +118,16 @@ def test_a_bag_of_ros1_is_encoded_anew(
                 reader.deserialize(payload, pose)
                 for _, _, payload in reader.messages(connections, stop=end)
             ]
-            found: list[Any] = [
+            result: list[Any] = [
                 STORE.deserialize_cdr(item, pose) for item in received[name.replace("-", "_")]
             ]
             assert len(expected) > 100
-            assert [_essence(item) for item in found] == [_essence(item) for item in expected]
+            assert [_essence(item) for item in result] == [_essence(item) for item in expected]
 
 
 def _essence(message: Any) -> tuple[object, ...]:
-    stamp, place, turn = message.header.stamp, message.pose.position, message.pose.orientation
-    numbers = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+    stamp, place, rotation = message.header.stamp, message.pose.position, message.pose.orientation
+    numbers = (place.x, place.y, place.z, rotation.x, rotation.y, rotation.z, rotation.w)
     return stamp.sec, stamp.nanosec, message.header.frame_id, *numbers
 
 
@@ -136,16 +136,16 @@ def test_a_type_that_is_not_installed_is_named(
 ) -> None:
     bag = shared_data / "bags" / "nav2_turtlebot.mcap"
     with listening({"/odom": TYPES[ODOMETRY]}, environment, tmp_path) as received:
-        said = replay(bag, environment, "--end", 20, "--rate", 20, "--wait-for-subscribers", 15)
+        text = replay(bag, environment, "--end", 20, "--rate", 20, "--wait-for-subscribers", 15)
     assert received["/odom"]
     try:
         # Beside the tests there is a folder of the same name, which alone can be imported, too.
         from tf2_msgs.msg import TFMessage  # type: ignore[import-not-found]  # noqa: F401
     except ImportError:
-        assert "/tf, /tf_static not played: tf2_msgs/msg/TFMessage is not installed" in said
+        assert "/tf, /tf_static not played: tf2_msgs/msg/TFMessage is not installed" in text
     else:
-        assert "on /tf" in said
-    assert "no subscribers to /amcl_pose" in said
+        assert "on /tf" in text
+    assert "no subscribers to /amcl_pose" in text
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
@@ -173,10 +173,10 @@ def test_a_signal_ends_it_in_order(
         )
         process.send_signal(ending)
         process.send_signal(ending)
-        said, complaints = process.communicate(timeout=PATIENCE_S)
+        text, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert complaints == ""
-    counts = re.search(rf"stopped after .* (\d+) on {GROUNDTRUTH}, (\d+) on {ODOMETRY}", said)
+    counts = re.search(rf"stopped after .* (\d+) on {GROUNDTRUTH}, (\d+) on {ODOMETRY}", text)
     assert counts is not None
     assert [len(received[GROUNDTRUTH]), len(received[ODOMETRY])] == [
         int(group) for group in counts.groups()
@@ -208,8 +208,8 @@ def test_a_subscriber_that_stands_still_loses_nothing(
         listener.send_signal(signal.SIGSTOP)
         time.sleep(6.0)  # Fast DDS gives a subscriber up after 20 s
         listener.send_signal(signal.SIGCONT)
-        said, _ = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, said
+        text, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, text
     assert_same(received[GROUNDTRUTH], [payload for _, payload in recorded(flight)[GROUNDTRUTH]])
 
 
@@ -233,7 +233,7 @@ def test_a_mistake_is_one_sentence(
         check=False,
     )
     assert done.returncode == 2
-    ours = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
-    assert len(ours) == 1
-    assert complaint in ours[0]
+    actual = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
+    assert len(actual) == 1
+    assert complaint in actual[0]
     assert "Traceback" not in done.stderr

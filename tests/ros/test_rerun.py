@@ -172,8 +172,8 @@ def test_the_node_runs_on_without_the_picture(
         with evaluating(tmp_path / "out", environment, rerun=f"serve:{port}") as evaluator:
             replay(flights / "mcap", environment, "--rate", 9)
             assert evaluator.end() == 0
-    said = f"Rerun can't use port {port}: address already in use; choose"
-    assert evaluator.said.count(said) == 1
+    text = f"Rerun can't use port {port}: address already in use; choose"
+    assert evaluator.said.count(text) == 1
     assert evaluator.result["runs"][0]["association"]["pairs"] > 300
     assert (tmp_path / "out" / "run.rrd").exists()
 

@@ -22,8 +22,8 @@ def played(rate: float, count: int) -> ClockSamples:
 
 @given(rate=st.floats(0.01, 50.0), after=st.integers(0, 10 * PERIOD))
 def test_time_goes_on_between_messages(rate: float, after: int) -> None:
-    found = played(rate, 10).at(np.array([WALL + after]))
-    assert found[0] == pytest.approx(SIMULATED + rate * after, abs=2)
+    result = played(rate, 10).at(np.array([WALL + after]))
+    assert result[0] == pytest.approx(SIMULATED + rate * after, abs=2)
 
 
 def test_time_that_nobody_told_is_unknown() -> None:

@@ -49,7 +49,7 @@ def a_run(
 
     Some transforms have no time, some are no poses, some come twice.
     """
-    found = []
+    result = []
     for key, rate in ((MAP, map_rate), (ODOM, 20.0), (CAMERA, 0.0), (OTHER, 5.0)):
         count = max(1, round(rate * seconds))
         offsets = np.cumsum(random.uniform(0.5, 1.5, count)) / (rate or 1.0) * SECOND
@@ -63,27 +63,27 @@ def a_run(
             stamps[odd[4:]], numbers[odd[4:]] = stamps[odd[4:] - 1], numbers[odd[4:] - 1]
         lag = round(lags_s.get(key, 0.0) * SECOND)
         arrivals = np.maximum.accumulate(stamps) + lag
-        found += [
+        result += [
             Arriving(arrival, not rate, (*key, stamp, numbers_[:3], numbers_[3:]))
             for arrival, stamp, numbers_ in zip(
                 arrivals.tolist(), stamps.tolist(), numbers.tolist(), strict=True
             )
         ]
-    return sorted(found, key=lambda item: item.arrives)
+    return sorted(result, key=lambda item: item.arrives)
 
 
 def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list[Trajectory]:
     """Let batches arrive as the node hands them over: what is static before what moves."""
-    found = []
+    result = []
     for batch in batches:
         stream.hold([transforms_message(item.transform) for item in batch if item.is_static])
         payloads = [transforms_message(item.transform) for item in batch if not item.is_static]
         if payloads:
             arrived = np.array([item.arrives for item in batch if not item.is_static])
             states, rows = stream.poses("", payloads, arrived)
-            found.append(states)
+            result.append(states)
             assert (rows == len(payloads) - 1).all()
-    return found
+    return result
 
 
 def offline(run: Iterable[Arriving]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -123,11 +123,11 @@ def test_any_batches_give_the_offline_chain(
 ) -> None:
     run = a_run(np.random.default_rng(seed), 12.0, lags_s)
     stream = TransformStream(SOURCE, "map", "camera")
-    found = feed(stream, cut(run, cuts))
+    result = feed(stream, cut(run, cuts))
     stamps, expected = offline(run)
     assert len(stamps) > 100
-    np.testing.assert_array_equal(np.concatenate([item.stamps for item in found]), stamps)
-    live = np.concatenate([rows_of(item) for item in found])
+    np.testing.assert_array_equal(np.concatenate([item.stamps for item in result]), stamps)
+    live = np.concatenate([rows_of(item) for item in result])
     np.testing.assert_allclose(live, expected, rtol=1e-12, atol=1e-12)
     assert stream.trouble is None
     assert stream.status.poses == len(stamps)
@@ -190,12 +190,14 @@ def test_recorded_transforms_give_the_offline_chain(
         [tf], [static] = bag.find("/tf"), bag.find("/tf_static")
         stream.hold([bytes(payload) for _, _, payload in bag.messages([static])])
         messages = [(logged, bytes(payload)) for _, logged, payload in bag.messages([tf])]
-    found = []
+    result = []
     for begin in range(0, len(messages), 10):
         arrived, payloads = zip(*messages[begin : begin + 10], strict=True)
-        found.append(stream.poses("", payloads, np.array(arrived))[0])
-    np.testing.assert_array_equal(np.concatenate([item.stamps for item in found]), expected.stamps)
-    live = np.concatenate([rows_of(item) for item in found])
+        result.append(stream.poses("", payloads, np.array(arrived))[0])
+    np.testing.assert_array_equal(
+        np.concatenate([item.stamps for item in result]), expected.stamps
+    )
+    live = np.concatenate([rows_of(item) for item in result])
     assert expected.quaternions is not None
     np.testing.assert_allclose(live[:, POSITION], expected.positions, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(live[:, QUATERNION], expected.quaternions, rtol=1e-9, atol=1e-9)
@@ -241,10 +243,10 @@ def test_an_edge_waits_for_the_others_as_far_back_as_it_may(
     assert stream.status.poses == 50
     assert not any(len(item.stamps) for item in feed(stream, seconds_of((MAP,), 5, 60)))
     after = [START + 60 * SECOND, START + 60 * SECOND + SECOND // 10]
-    [found] = feed(stream, [[moving(ODOM, item) for item in after]])
+    [result] = feed(stream, [[moving(ODOM, item) for item in after]])
     # Of 55 s without its fellow, what is held has a pose; never anything beyond the newest.
     newest = START + 60 * SECOND - SECOND // 10
-    assert found.stamps.tolist() == [newest - row * SECOND // 10 for row in range(99, -1, -1)]
+    assert result.stamps.tolist() == [newest - row * SECOND // 10 for row in range(99, -1, -1)]
 
 
 def test_other_trees_are_held_in_bounds_until_ours_is_there(
@@ -298,16 +300,16 @@ def test_a_user_is_warned_once_of_what_does_not_pass(monkeypatch: pytest.MonkeyP
     feed(stream, [[STATIC], *seconds_of((MAP, ODOM), 0, 5)])
     for _ in range(3):
         stream.tell_trouble()
-    [said] = stream.news
-    assert said.text == "/tf:map.camra: unknown frame camra; use one of camera, map, odom, base"
+    [text] = stream.news
+    assert text.text == "/tf:map.camra: unknown frame camra; use one of camera, map, odom, base"
 
 
 def test_time_that_begins_anew_is_told() -> None:
     stream = TransformStream(SOURCE, "map", "camera")
     feed(stream, [[STATIC], *seconds_of((MAP, ODOM), 10, 20)])
     feed(stream, seconds_of((MAP, ODOM), 0, 3))
-    [said] = stream.news
-    assert "/tf:map.camera: timestamps step back by " in said.text
+    [text] = stream.news
+    assert "/tf:map.camera: timestamps step back by " in text.text
     assert stream.status.poses == 100
 
 

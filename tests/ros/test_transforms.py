@@ -55,8 +55,8 @@ def edge(parent: str, child: str, poses: Trajectory, topic: str = "/tf") -> list
     assert poses.quaternions is not None
     rows = zip(poses.stamps.tolist(), poses.positions, poses.quaternions, strict=True)
     return [
-        (topic, TRANSFORMS, stamp, transforms_message((parent, child, stamp, place, turn)))
-        for stamp, place, turn in rows
+        (topic, TRANSFORMS, stamp, transforms_message((parent, child, stamp, place, rotation)))
+        for stamp, place, rotation in rows
     ]
 
 
@@ -203,8 +203,8 @@ def test_the_alignment_is_broadcast_where_it_is_asked_for(
     assert transform.child_frame_id == result["runs"][0]["estimate"]["frame"]
     moved, alignment = transform.transform.translation, result["runs"][0]["alignment"]
     assert [moved.x, moved.y, moved.z] == pytest.approx(alignment["translation_m"], abs=0.1)
-    turned = transform.transform.rotation
-    quaternion = np.array([turned.x, turned.y, turned.z, turned.w])
+    rotated = transform.transform.rotation
+    quaternion = np.array([rotated.x, rotated.y, rotated.z, rotated.w])
     assert abs(quaternion @ alignment["rotation_xyzw"]) == pytest.approx(1.0, abs=1e-3)
 
 

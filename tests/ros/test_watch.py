@@ -48,12 +48,12 @@ def values_of(status: Any) -> dict[str, str]:
 
 def alarms_of(events: list[Any]) -> dict[str, int]:
     """Return when each signal's first alarm began, by the events."""
-    found: dict[str, int] = {}
+    result: dict[str, int] = {}
     for event in events:
         values = values_of(event)
         if values["kind"] == "alarm" and event.level != b"\0":
-            found.setdefault(values["subject"], int(values["stamp_ns"]))
-    return found
+            result.setdefault(values["subject"], int(values["stamp_ns"]))
+    return result
 
 
 def test_an_injected_fault_is_the_alarm_that_the_recording_has(
@@ -149,8 +149,8 @@ def test_what_it_lacks_is_one_sentence(
     output = tmp_path / "out"
     done = run_evaluator(environment, *parameters(output=str(output), **values))
     assert done.returncode == 2, done.stderr
-    [said] = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
-    assert complaint in said
+    [text] = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
+    assert complaint in text
     assert "Traceback" not in done.stderr
     assert not output.exists()
 
@@ -178,8 +178,8 @@ def test_an_alarm_calls_the_snapshot_service_once(
     with evaluating(tmp_path / "out", environment, **values) as evaluator:
         peer.play(diverging, {"/odom": 1, "/groundtruth": 1}, ["evaluator"], RATE)
         answer = "snapshot taken by " if has_room else "no snapshot: "
-        said = f"{answer}/recorder/snapshot"
-        peer.until(lambda: said in evaluator.said, said)
+        text = f"{answer}/recorder/snapshot"
+        peer.until(lambda: text in evaluator.said, text)
         assert evaluator.end() == 0
     peer.node.destroy_service(service)
     assert len(calls) == 1

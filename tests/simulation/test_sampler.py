@@ -55,21 +55,21 @@ def test_run_states_the_estimators_own_covariance(long: Scene, *, of_a_track: bo
     state, truth = run.state, scene.groundtruth
     count = len(truth.positions)
     # Back from the run's frame, which is turned about gravity as its landmarks are.
-    turn = _turn_between(truth.landmarks, state.landmarks)
-    assert turn[2, 2] == pytest.approx(1.0)
-    wide = np.kron(np.eye(3), turn)
+    rotation = _turn_between(truth.landmarks, state.landmarks)
+    assert rotation[2, 2] == pytest.approx(1.0)
+    wide = np.kron(np.eye(3), rotation)
     expected = fixed.reshape(count, 9, count, 9)[np.arange(count), :, np.arange(count)]
     assert frobenius(run.marginals, wide @ expected @ wide.T) < 1e-9
-    everywhere = np.kron(np.eye(3 * count), turn)
+    everywhere = np.kron(np.eye(3 * count), rotation)
     rotated = everywhere @ fixed @ everywhere.T
     # Any generalised inverse: S H S = S.
     assert frobenius(rotated @ (run.information @ rotated), rotated) < 1e-8
 
 
 def _turn_between(points: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    centred, turned = points - points.mean(axis=0), moved - moved.mean(axis=0)
-    turn = np.linalg.lstsq(centred, turned, rcond=None)[0].T
-    return so3.exp(so3.log(turn[None]))[0]
+    centred, rotated = points - points.mean(axis=0), moved - moved.mean(axis=0)
+    rotation = np.linalg.lstsq(centred, rotated, rcond=None)[0].T
+    return so3.exp(so3.log(rotation[None]))[0]
 
 
 def test_tracks_end(long: Scene) -> None:

@@ -46,10 +46,10 @@ def test_fixes_come_once_a_second_from_the_first_second_to_the_last(receiver: st
 def test_errors_of_an_rtk_receiver_are_as_large_as_stated() -> None:
     truth, ratios = circle(), []
     for seed in range(30):
-        found = gnss_fixes(truth, "rtk", seed)
-        fixes = found.reading.fixes
+        result = gnss_fixes(truth, "rtk", seed)
+        fixes = result.reading.fixes
         assert fixes is not None
-        rows = truth.stamps.searchsorted(found.stamps)
+        rows = truth.stamps.searchsorted(result.stamps)
         states = truth[rows]
         assert states.rotations is not None
         antenna = states.positions + states.rotations.apply(ANTENNA_M)

@@ -88,65 +88,67 @@ def test_keyframes_are_every_nth_image_that_both_cover(recording: SensorRecordin
 
 
 def test_observations_are_those_of_tracks_in_three_keyframes(recording: SensorRecording) -> None:
-    found = selected(recording)
+    result = selected(recording)
     frames = np.arange(0, len(recording.image_stamps), 3)
     seen: dict[int, list[tuple[int, int]]] = {}
     for row, (image, track) in enumerate(zip(recording.image_of, recording.track_of, strict=True)):
         if image in frames:
             seen.setdefault(int(track), []).append((int(image) // 3, row))
     long = {track: rows for track, rows in seen.items() if len(rows) >= 3}
-    assert found.landmarks == len(long) < len(seen) or len(long) == len(seen)
+    assert result.landmarks == len(long) < len(seen) or len(long) == len(seen)
     expected = {
         (keyframe, place): row
         for place, track in enumerate(sorted(long))
         for keyframe, row in long[track]
     }
-    pairs = list(zip(found.keyframe_of.tolist(), found.landmark_of.tolist(), strict=True))
+    pairs = list(zip(result.keyframe_of.tolist(), result.landmark_of.tolist(), strict=True))
     assert set(pairs) == expected.keys()
     measured = recording.pixels[[expected[pair] for pair in pairs]]
     lens = recording.camera.lens
-    plane = (found.pixels - found.camera.centre) / found.camera.focal_px
+    plane = (result.pixels - result.camera.centre) / result.camera.focal_px
     again, derivative = lens.distorted(plane)
     np.testing.assert_allclose(again, measured, atol=1e-5)
-    np.testing.assert_allclose(found.weights, derivative / found.camera.focal_px, rtol=1e-6)
-    assert found.camera.focal_px == pytest.approx(np.sqrt(458.0 * 457.0))
-    assert found.camera.noise_px == PIXEL_NOISE
-    assert found.with_noise(0.7).camera.noise_px == 0.7
+    np.testing.assert_allclose(result.weights, derivative / result.camera.focal_px, rtol=1e-6)
+    assert result.camera.focal_px == pytest.approx(np.sqrt(458.0 * 457.0))
+    assert result.camera.noise_px == PIXEL_NOISE
+    assert result.with_noise(0.7).camera.noise_px == 0.7
 
 
 def test_kept_observations_leave_landmarks_with_three_views(recording: SensorRecording) -> None:
-    found = selected(recording)
-    views = np.bincount(found.landmark_of)
+    result = selected(recording)
+    views = np.bincount(result.landmark_of)
     lost = int(np.flatnonzero(views == 3)[0]) if (views == 3).any() else int(views.argmin())
-    wanted = np.ones(len(found.pixels), dtype=bool)
-    rows = np.flatnonzero(found.landmark_of == lost)
-    wanted[rows[: len(rows) - 2]] = False  # two views of it are left
-    part, left = found.kept(wanted)
-    assert left.tolist() == [index for index in range(found.landmarks) if index != lost]
-    assert part.landmarks == found.landmarks - 1
-    others = found.landmark_of != lost
-    np.testing.assert_array_equal(part.pixels, found.pixels[others])
-    np.testing.assert_array_equal(part.weights, found.weights[others])
-    np.testing.assert_array_equal(part.keyframe_of, found.keyframe_of[others])
-    np.testing.assert_array_equal(left[part.landmark_of], found.landmark_of[others])
+    expected = np.ones(len(result.pixels), dtype=bool)
+    rows = np.flatnonzero(result.landmark_of == lost)
+    expected[rows[: len(rows) - 2]] = False  # two views of it are left
+    part, left = result.kept(expected)
+    assert left.tolist() == [index for index in range(result.landmarks) if index != lost]
+    assert part.landmarks == result.landmarks - 1
+    others = result.landmark_of != lost
+    np.testing.assert_array_equal(part.pixels, result.pixels[others])
+    np.testing.assert_array_equal(part.weights, result.weights[others])
+    np.testing.assert_array_equal(part.keyframe_of, result.keyframe_of[others])
+    np.testing.assert_array_equal(left[part.landmark_of], result.landmark_of[others])
 
 
 def test_the_imu_between_keyframes_agrees_with_groundtruth(recording: SensorRecording) -> None:
-    found = selected(recording)
-    assert found.preintegrated.durations_s == pytest.approx(
-        np.full(len(found.groundtruth.positions) - 1, 0.15)
+    result = selected(recording)
+    assert result.preintegrated.durations_s == pytest.approx(
+        np.full(len(result.groundtruth.positions) - 1, 0.15)
     )
-    turns = np.swapaxes(found.groundtruth.rotations[:-1], 1, 2) @ found.groundtruth.rotations[1:]
-    off = so3.log(np.swapaxes(turns, 1, 2) @ found.preintegrated.rotations)
+    rotations = (
+        np.swapaxes(result.groundtruth.rotations[:-1], 1, 2) @ result.groundtruth.rotations[1:]
+    )
+    off = so3.log(np.swapaxes(rotations, 1, 2) @ result.preintegrated.rotations)
     assert np.abs(off).max() < 1e-3
-    np.testing.assert_allclose(found.gravity_felt, GRAVITY, atol=0.02)
-    assert found.drift_against_gyroscope_deg < 0.1
-    turned = dataclasses.replace(
+    np.testing.assert_allclose(result.gravity_felt, GRAVITY, atol=0.02)
+    assert result.drift_against_gyroscope_deg < 0.1
+    rotated = dataclasses.replace(
         recording,
         angular_velocities=recording.angular_velocities + np.array([0.0, 0.0, np.radians(1.0)]),
     )
-    duration_s = float(found.preintegrated.durations_s.sum())
-    assert selected(turned).drift_against_gyroscope_deg == pytest.approx(duration_s, rel=0.1)
+    duration_s = float(result.preintegrated.durations_s.sum())
+    assert selected(rotated).drift_against_gyroscope_deg == pytest.approx(duration_s, rel=0.1)
     pushed = dataclasses.replace(recording, accelerations=recording.accelerations * 1.01)
     felt = selected(pushed).gravity_felt
     assert np.linalg.norm(felt) == pytest.approx(9.81 * 1.01, rel=5e-3)
@@ -167,9 +169,9 @@ def test_biases_are_those_of_their_time(recording: SensorRecording) -> None:
             truth, gyroscope_biases=truth.gyroscope_biases + np.outer(seconds, axis)
         ),
     )
-    plain, found = selected(recording), selected(drifting)
+    plain, result = selected(recording), selected(drifting)
     np.testing.assert_allclose(
-        found.preintegrated.rotations, plain.preintegrated.rotations, atol=1e-6
+        result.preintegrated.rotations, plain.preintegrated.rotations, atol=1e-6
     )
 
 
@@ -184,38 +186,40 @@ def test_a_gap_of_the_imu_is_refused(
     if is_read:
         assert selected(part).preintegrated.durations_s == pytest.approx(np.full(15, 0.15))
         return
-    said = rf"IMU gap of 0\.1\d s after {recording.imu_stamps[99]} ns; choose another part"
-    with pytest.raises(InputError, match=said):
+    text = rf"IMU gap of 0\.1\d s after {recording.imu_stamps[99]} ns; choose another part"
+    with pytest.raises(InputError, match=text):
         selected(part)
 
 
 def test_landmarks_are_where_their_rays_meet(recording: SensorRecording) -> None:
-    found = selected(recording).with_noise(TRACKER_NOISE_PX)
-    state = triangulated(found)
-    assert state.positions is found.groundtruth.positions
-    errors = found.problem().residuals(state)[0] * TRACKER_NOISE_PX
+    result = selected(recording).with_noise(TRACKER_NOISE_PX)
+    state = triangulated(result)
+    assert state.positions is result.groundtruth.positions
+    errors = result.problem().residuals(state)[0] * TRACKER_NOISE_PX
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(PIXEL_NOISE, rel=0.1)
-    angles = _parallax(found, state)
-    centres = state.positions + state.rotations @ found.lever_arm
-    for landmark in range(0, found.landmarks, 17):
+    angles = _parallax(result, state)
+    centres = state.positions + state.rotations @ result.lever_arm
+    for landmark in range(0, result.landmarks, 17):
         rays = (
-            state.landmarks[landmark] - centres[found.keyframe_of[found.landmark_of == landmark]]
+            state.landmarks[landmark] - centres[result.keyframe_of[result.landmark_of == landmark]]
         )
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         widest = np.arccos(np.clip((rays @ rays.T).min(), -1.0, 1.0))
         assert angles[landmark] == pytest.approx(widest, abs=1e-7)
     # Good: within the limit, from 0.2 to 30 m, and with 1 degree of parallax.
     squares = np.square(errors / TRACKER_NOISE_PX).sum(axis=1)
-    depths = found.problem().points(state)[:, 2]
+    depths = result.problem().points(state)[:, 2]
     wide = np.degrees(angles) > 1.0
-    expected = (squares <= CHI2_LIMIT) & (depths > 0.2) & (depths < 30.0) & wide[found.landmark_of]
-    np.testing.assert_array_equal(_is_good(found, state, CHI2_LIMIT), expected)
+    expected = (
+        (squares <= CHI2_LIMIT) & (depths > 0.2) & (depths < 30.0) & wide[result.landmark_of]
+    )
+    np.testing.assert_array_equal(_is_good(result, state, CHI2_LIMIT), expected)
     small = float(np.median(squares))
-    assert np.count_nonzero(_is_good(found, state, small)) <= len(squares) / 2 + 1
+    assert np.count_nonzero(_is_good(result, state, small)) <= len(squares) / 2 + 1
     near = dataclasses.replace(state, landmarks=centres[0] + (state.landmarks - centres[0]) * 5.0)
-    too_far = found.problem().points(near)[:, 2] >= 30.0
+    too_far = result.problem().points(near)[:, 2] >= 30.0
     assert too_far.any()
-    assert not _is_good(found, near, np.inf)[too_far].any()
+    assert not _is_good(result, near, np.inf)[too_far].any()
 
 
 def test_planted_outliers_are_dropped_and_nothing_else(recording: SensorRecording) -> None:
@@ -228,13 +232,13 @@ def test_planted_outliers_are_dropped_and_nothing_else(recording: SensorRecordin
     wrong = dataclasses.replace(recording, pixels=recording.pixels.copy())
     rows = np.flatnonzero(recording.image_of % 3 == 0)[::40]
     wrong.pixels[rows] += [25.0, -10.0]
-    found = reject_outliers(selected(wrong))
-    assert found.rounds[0] == first
-    assert first[0] - len(rows) - 5 <= found.rounds[-1][0] <= first[0] - len(rows)
-    assert found.rounds[-1] == found.rounds[-2]
+    result = reject_outliers(selected(wrong))
+    assert result.rounds[0] == first
+    assert first[0] - len(rows) - 5 <= result.rounds[-1][0] <= first[0] - len(rows)
+    assert result.rounds[-1] == result.rounds[-2]
     # They also move their landmarks, by which other errors grow.
-    assert 1.0 - 6 * len(rows) / first[0] < found.within_3px <= 1.0 - len(rows) / first[0]
-    np.testing.assert_allclose(found.state.positions, clean.state.positions, atol=2e-3)
+    assert 1.0 - 6 * len(rows) / first[0] < result.within_3px <= 1.0 - len(rows) / first[0]
+    np.testing.assert_allclose(result.state.positions, clean.state.positions, atol=2e-3)
     # Smaller errors pass the first, coarse test, and are dropped until none are left.
     wrong.pixels[rows] += [-20.0, 6.0]
     slow = reject_outliers(selected(wrong))

@@ -46,8 +46,8 @@ def test_noise_has_the_size_that_was_asked_for() -> None:
     assert np.std(poor.positions - DENSE.positions[rows]) == pytest.approx(0.05, rel=0.1)
     assert poor.rotations is not None
     assert DENSE.rotations is not None
-    turns = (DENSE.rotations[rows].inv() * poor.rotations).as_rotvec()
-    assert np.std(turns) == pytest.approx(0.02, rel=0.1)
+    rotations = (DENSE.rotations[rows].inv() * poor.rotations).as_rotvec()
+    assert np.std(rotations) == pytest.approx(0.02, rel=0.1)
     bare = Degradation().of(dataclasses.replace(DENSE, quaternions=None))
     assert bare.rotations is None
 

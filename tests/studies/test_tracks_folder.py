@@ -92,8 +92,8 @@ def test_lenses_by_their_definitions() -> None:
     angle = np.pi / 4
     powers = angle ** np.array([2, 4, 6, 8])
     distance = angle * (1 + powers @ [0.1, 0.2, 0.3, 0.4])
-    found = fish.distorted(np.array([[1.0, 0.0], [0.0, 0.0]]))[0]
-    np.testing.assert_allclose(found, [[10.0 + 100.0 * distance, 20.0], [10.0, 20.0]], atol=1e-9)
+    result = fish.distorted(np.array([[1.0, 0.0], [0.0, 0.0]]))[0]
+    np.testing.assert_allclose(result, [[10.0 + 100.0 * distance, 20.0], [10.0, 20.0]], atol=1e-9)
 
 
 def test_pixels_beyond_the_lens_are_not_inverted() -> None:

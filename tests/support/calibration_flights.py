@@ -40,12 +40,12 @@ def marked(stamps: Array, poses: Trajectory, duration_s: float, fault: Fault) ->
         fault: What is wrong.
     """
     assert poses.rotations is not None
-    turn = Rotation.from_rotvec(np.asarray(fault.rotation_vector))
+    rotation = Rotation.from_rotvec(np.asarray(fault.rotation_vector))
     clock = stamps + fault.offset_s + fault.skew * (stamps - duration_s / 2.0)
     return Trajectory(
         stamps_of(clock),
         poses.positions + poses.rotations.apply(np.asarray(fault.lever_m)),
-        (poses.rotations * turn).as_quat(),
+        (poses.rotations * rotation).as_quat(),
     )
 
 
@@ -80,9 +80,9 @@ def fly(
     memory = np.exp(-step_s / 5.0)
     news = random.normal(0.0, np.radians(0.15) * drift * np.sqrt(1.0 - memory**2), (count, 2))
     tilt = lfilter([1.0], [1.0, -memory], news, axis=0)
-    turned = Rotation.from_rotvec(np.column_stack([tilt, yaw]))
+    rotated = Rotation.from_rotvec(np.column_stack([tilt, yaw]))
     stretch = 1.0 + 0.01 * drift * random.normal()
-    steps = stretch * turned[1:].apply(np.diff(true, axis=0))
+    steps = stretch * rotated[1:].apply(np.diff(true, axis=0))
     steps += random.normal(0.0, 0.008 * drift * np.sqrt(step_s), steps.shape)
     drifted = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
@@ -93,7 +93,7 @@ def fly(
     estimate = Trajectory(
         stamps_of(times[seen]),
         (world.apply(drifted[seen] + noise) + random.normal(0.0, 5.0, 3)) / scale,
-        (world * turned[seen] * motion.rotations(times[seen]) * jitter).as_quat(),
+        (world * rotated[seen] * motion.rotations(times[seen]) * jitter).as_quat(),
     )
     wide = np.arange(-3.0, duration_s + 3.0, step_s)
     shaken = Rotation.from_rotvec(random.normal(0.0, np.radians(0.05), (len(wide), 3)))

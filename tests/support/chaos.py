@@ -122,9 +122,9 @@ class Campaign:
         return folder
 
     def _start(self, command: list[str], log: Path, **more: str) -> subprocess.Popen[bytes]:
-        with log.open("wb") as said:
+        with log.open("wb") as text:
             return subprocess.Popen(
-                command, env={**self.environment, **more}, stdin=subprocess.DEVNULL, stdout=said,
+                command, env={**self.environment, **more}, stdin=subprocess.DEVNULL, stdout=text,
                 stderr=subprocess.STDOUT, start_new_session=True,
             )  # fmt: skip
 
@@ -134,10 +134,10 @@ class Campaign:
         command = self.verb.command(folder, setting) if then is None else then(folder)
         log = self.work / "log"
         status = self._start(command, log).wait(PATIENCE_S)
-        said = log.read_text(errors="replace")
-        is_empty = then is not None and ("no live run" in said or "no pairs of" in said)
+        text = log.read_text(errors="replace")
+        is_empty = then is not None and ("no live run" in text or "no pairs of" in text)
         if status and not is_empty:
-            self._fault(f"the next start ends with {status}: {said[-300:]}")
+            self._fault(f"the next start ends with {status}: {text[-300:]}")
 
     def _kill(self, folder: Path, setting: int, took_s: float) -> None:
         ending = self.random.choice(ENDINGS)
@@ -163,30 +163,32 @@ class Campaign:
             companion.kill()
             companion.wait()
         self.statuses[f"{how}: {status}"] += 1
-        said = log.read_text(errors="replace")
-        is_started = OWN_LINES in said or not any(item in said for item in STARTS_UP)
-        if is_started and any(complaint in said for complaint in COMPLAINTS):
-            self._fault(f"{ending.name} after {moment:.2f} s: {said[-600:]}")
+        text = log.read_text(errors="replace")
+        is_started = OWN_LINES in text or not any(item in text for item in STARTS_UP)
+        if is_started and any(complaint in text for complaint in COMPLAINTS):
+            self._fault(f"{ending.name} after {moment:.2f} s: {text[-600:]}")
 
     def _look(self, folder: Path, wholes: list[Listing]) -> None:
         """Whatever has its name is whole, be it of these settings or of those before."""
-        found = self._results(folder)
-        for name, digest in found.items():
+        result = self._results(folder)
+        for name, digest in result.items():
             if Path(name).name in OWN or self.verb.then is not None:
                 continue
             if digest not in [whole.get(name) for whole in wholes]:
                 self._fault(f"{name} is neither whole nor absent")
-        marker = found.get(self.verb.marker)
+        marker = result.get(self.verb.marker)
         for whole in wholes if marker else []:
-            if marker == whole[self.verb.marker] and not _same(found, whole):
+            if marker == whole[self.verb.marker] and not _same(result, whole):
                 self._fault(f"{self.verb.marker} is there, and not all that belongs to it")
 
     def _compare(self, folder: Path, whole: Listing) -> None:
         """After the next start there is what there should be, and nothing else."""
-        found = self._results(folder)
-        if self.verb.then is None and not _same(found, whole):
+        result = self._results(folder)
+        if self.verb.then is None and not _same(result, whole):
             names = {
-                item for item in found.keys() | whole.keys() if found.get(item) != whole.get(item)
+                item
+                for item in result.keys() | whole.keys()
+                if result.get(item) != whole.get(item)
             }
             self._fault(f"the next start leaves other results: {sorted(names - OWN)}")
         limit = time.monotonic() + _LAST_WRITING_S

@@ -20,16 +20,16 @@ from trajeval_ros.cli.app import main
 def write_run(path: Path, scale: float = 1.0, *, count: int = 300, seconds: float = 20.0) -> Path:
     """Write a loop of 25 m flown in 20 s, or its beginning; `scale` makes an estimate of it."""
     time = np.linspace(0.0, seconds, count)
-    turn = 2.0 * np.pi * time / 20.0
+    rotation = 2.0 * np.pi * time / 20.0
     half = np.zeros((count, 2))
     columns = [
         1_700_000_000.0 + time,
-        4.0 * scale * np.cos(turn),
-        4.0 * scale * np.sin(turn),
-        scale * np.sin(3.0 * turn),
+        4.0 * scale * np.cos(rotation),
+        4.0 * scale * np.sin(rotation),
+        scale * np.sin(3.0 * rotation),
         *half.T,
-        np.sin(turn / 2.0),
-        np.cos(turn / 2.0),
+        np.sin(rotation / 2.0),
+        np.cos(rotation / 2.0),
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savetxt(path, np.column_stack(columns), fmt="%.9f")

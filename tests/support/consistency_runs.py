@@ -79,10 +79,10 @@ def aligned_run(
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
     transformation = STransformation.of_alignment(gauge, states, truth, moved)
-    turned = carried(poses_of(covariance), similarity)
+    rotated = carried(poses_of(covariance), similarity)
     return Aligned(
         errors_of(truth, moved),
-        transformation.covariance(turned),
+        transformation.covariance(rotated),
         transformation,
         similarity,
     )

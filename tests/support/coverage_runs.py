@@ -20,12 +20,12 @@ def at_ms(milliseconds: NDArray[np.float64], metres_per_s: float = 1.0) -> Traje
     """Return a run along x that turns about z at a tenth of its speed."""
     seconds = np.asarray(milliseconds) / 1e3
     along = metres_per_s * seconds
-    turn = 0.1 * along / 2.0
+    rotation = 0.1 * along / 2.0
     zero = np.zeros(len(seconds))
     return Trajectory(
         stamps=np.round(seconds * 1e9).astype(np.int64),
         positions=np.column_stack([along, zero, zero]),
-        quaternions=np.column_stack([zero, zero, np.sin(turn), np.cos(turn)]),
+        quaternions=np.column_stack([zero, zero, np.sin(rotation), np.cos(rotation)]),
     )
 
 
@@ -54,8 +54,8 @@ def keyframes(
     kept, limit = [0], 1.0
     for row in range(1, len(run)):
         moved = np.linalg.norm(positions[row] - positions[kept[-1]]) / metres
-        turned = lie.multiply(lie.conjugate(quaternions[kept[-1]]), quaternions[row])
-        if max(moved, np.degrees(lie.angle(turned)) / degrees) > limit:
+        rotated = lie.multiply(lie.conjugate(quaternions[kept[-1]]), quaternions[row])
+        if max(moved, np.degrees(lie.angle(rotated)) / degrees) > limit:
             kept.append(row)
             limit = float(np.exp(0.4 * random.normal()))
     return run[np.array(kept)]

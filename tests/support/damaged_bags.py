@@ -110,10 +110,10 @@ def assert_whole(source: Path | str, count: int = COUNT) -> Trajectory:
 def assert_damaged(source: Path | str, *words: str) -> Trajectory:
     """Check that part of it is read, that the damage is told, and that --strict refuses it."""
     read = read_trajectory(str(source))
-    said = "; ".join(read.reading.messages(Level.ERROR))
-    assert said
+    text = "; ".join(read.reading.messages(Level.ERROR))
+    assert text
     for word in words:
-        assert word in said
+        assert word in text
     assert set(rows_of(read)) <= set(range(COUNT))
     with pytest.raises(InputError):
         read_trajectory(str(source), strict=True)

@@ -22,10 +22,10 @@ def states(seconds: Array) -> Trajectory:
     positions = np.column_stack(
         [2.0 * np.sin(0.7 * seconds), 1.5 * np.cos(0.9 * seconds), np.sin(1.1 * seconds)]
     )
-    turns = np.column_stack(
+    rotations = np.column_stack(
         [0.5 * np.sin(0.9 * seconds), 0.4 * np.cos(1.3 * seconds), 1.2 * np.sin(0.6 * seconds)]
     )
-    return Trajectory(stamps_of(seconds), positions, Rotation.from_rotvec(turns).as_quat())
+    return Trajectory(stamps_of(seconds), positions, Rotation.from_rotvec(rotations).as_quat())
 
 
 def flown(
@@ -43,10 +43,14 @@ def flown(
         positions=world.apply(estimate.positions) / SCALE_OF_ESTIMATE + 4.0,
         quaternions=(world * estimate.rotations).as_quat(),
     )
-    turn = Rotation.from_rotvec(np.asarray(fault.rotation_vector))
+    rotation = Rotation.from_rotvec(np.asarray(fault.rotation_vector))
     if not oriented:
-        truth, turn = dataclasses.replace(truth, quaternions=None), world.inv()
+        truth, rotation = dataclasses.replace(truth, quaternions=None), world.inv()
     unknowns = Unknowns(
-        fault.offset_s, fault.skew, turn.as_matrix(), np.array(fault.lever_m), SCALE_OF_ESTIMATE
+        fault.offset_s,
+        fault.skew,
+        rotation.as_matrix(),
+        np.array(fault.lever_m),
+        SCALE_OF_ESTIMATE,
     )
     return truth, estimate, unknowns

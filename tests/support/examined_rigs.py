@@ -61,10 +61,10 @@ class ExaminedRig:
         seconds = (found.stamps - START_NS) / 1e9
         apart = found.positions - self.motion.positions(seconds)
         assert found.rotations is not None
-        turned = (self.motion.rotations(seconds).inv() * found.rotations).magnitude()
+        rotated = (self.motion.rotations(seconds).inv() * found.rotations).magnitude()
         return (
             float(np.sqrt(np.square(apart).sum(axis=1).mean())),
-            float(np.sqrt(np.square(turned).mean())),
+            float(np.sqrt(np.square(rotated).mean())),
         )
 
 
@@ -98,15 +98,15 @@ def rig(
     times = np.arange(0.3, duration_s - 0.3, 0.01)
     stamps = times - offset_s - skew * (times - times.mean())
     seen = times + generator.normal(0.0, jitter_s, len(times))
-    turned = Rotation.from_rotvec([tilt_deg, 0.0, 0.0], degrees=True)
-    turned = turned if world is None else world * turned
+    rotated = Rotation.from_rotvec([tilt_deg, 0.0, 0.0], degrees=True)
+    rotated = rotated if world is None else world * rotated
     body = motion.rotations(seen)
     white = generator.standard_t if np.isfinite(tails) else None
     draws = generator.normal(size=(2, *body.as_rotvec().shape))
     if white is not None:
         draws = white(tails, draws.shape)
-    positions = turned.apply(motion.positions(seen) + body.apply(lever_m)) + noise[0] * draws[0]
-    rotations = turned * body * Rotation.from_rotvec(turn_deg, degrees=True)
+    positions = rotated.apply(motion.positions(seen) + body.apply(lever_m)) + noise[0] * draws[0]
+    rotations = rotated * body * Rotation.from_rotvec(turn_deg, degrees=True)
     rotations = rotations * Rotation.from_rotvec(noise[1] * draws[1])
     return ExaminedRig(
         Trajectory.from_columns(

@@ -50,9 +50,9 @@ def verdict_on(changed: Changed, *, strict: bool) -> str:
     try:
         read = changed.read(strict)
     except TrajevalError as error:
-        said = str(error)
-        assert said, "nothing is said"
-        assert "\n" not in said, f"more than a line is said: {said}"
+        text = str(error)
+        assert text, "nothing is said"
+        assert "\n" not in text, f"more than a line is said: {text}"
         return "refused"
     if read is None:
         return "read"

@@ -74,24 +74,24 @@ class GtsamProblem:
 
     def solved(self) -> GtsamSolution:
         """Return the minimum and its marginal covariances."""
-        found = self.optimize()
-        marginals = self.gtsam.Marginals(self.graph, found)
-        poses = [found.atPose3(self.keys.X(place)) for place in range(self.count)]
+        result = self.optimize()
+        marginals = self.gtsam.Marginals(self.graph, result)
+        poses = [result.atPose3(self.keys.X(place)) for place in range(self.count)]
         rotations = np.array([pose.rotation().matrix() for pose in poses])
         covariances = np.zeros((self.count, 9, 9))
         for place, rotation in enumerate(rotations):
             # GTSAM perturbs on the right, rotation first.
-            turn = np.kron([[0.0, 1.0], [1.0, 0.0]], rotation)
+            rotation_step = np.kron([[0.0, 1.0], [1.0, 0.0]], rotation)
             own = marginals.marginalCovariance(self.keys.X(place))
-            covariances[place, :6, :6] = turn @ own @ turn.T
+            covariances[place, :6, :6] = rotation_step @ own @ rotation_step.T
             covariances[place, 6:, 6:] = marginals.marginalCovariance(self.keys.V(place))
         return GtsamSolution(
             self.graph.error(self.values),
-            self.graph.error(found),
+            self.graph.error(result),
             np.array([pose.translation() for pose in poses]),
-            np.array([found.atVector(self.keys.V(place)) for place in range(self.count)]),
+            np.array([result.atVector(self.keys.V(place)) for place in range(self.count)]),
             rotations,
-            np.array([found.atPoint3(self.keys.L(place)) for place in range(self.landmarks)]),
+            np.array([result.atPoint3(self.keys.L(place)) for place in range(self.landmarks)]),
             covariances,
         )
 
@@ -121,7 +121,7 @@ class GtsamProblem:
     def _sense(self, problem: Problem, place: int) -> None:
         measured, keys = problem.preintegrated, self.keys
         duration_s = measured.durations_s[place]
-        turned, gained, moved = (
+        rotated, gained, moved = (
             item[place] for item in (measured.rotations, measured.velocities, measured.positions)
         )
 
@@ -129,11 +129,11 @@ class GtsamProblem:
             earlier, velocity, later, after = values
             into = earlier.rotation().matrix().T
             fall = problem.gravity * duration_s
-            turn = turned.T @ into @ later.rotation().matrix()
+            rotation = rotated.T @ into @ later.rotation().matrix()
             shift = later.translation() - earlier.translation()
             return np.concatenate(
                 [
-                    self.gtsam.Rot3.Logmap(self.gtsam.Rot3(turn)),
+                    self.gtsam.Rot3.Logmap(self.gtsam.Rot3(rotation)),
                     into @ (after - velocity - fall) - gained,
                     into @ (shift - (velocity + fall / 2.0) * duration_s) - moved,
                 ]
@@ -148,8 +148,10 @@ class GtsamProblem:
 
         def errors(values: list[Any]) -> np.ndarray:
             (pose,) = values
-            turn = self.gtsam.Rot3(pose.rotation().matrix() @ rotation.T)
-            return np.append(pose.translation() - position, self.gtsam.Rot3.Logmap(turn)[2])
+            rotation_step = self.gtsam.Rot3(pose.rotation().matrix() @ rotation.T)
+            return np.append(
+                pose.translation() - position, self.gtsam.Rot3.Logmap(rotation_step)[2]
+            )
 
         noise = self.gtsam.noiseModel.Isotropic.Precision(4, weight)
         self._add(noise, [self.keys.X(0)], [False], errors)
@@ -162,14 +164,14 @@ class GtsamProblem:
         errors: Callable[[list[Any]], np.ndarray],
     ) -> None:
         def factor(_: Any, values: Any, jacobians: list[np.ndarray] | None) -> np.ndarray:
-            found = [
+            result = [
                 values.atVector(name) if is_vector else values.atPose3(name)
                 for name, is_vector in zip(names, are_vectors, strict=True)
             ]
             if jacobians is not None:
                 for place, is_vector in enumerate(are_vectors):
-                    jacobians[place] = _derivative(errors, found, place, is_vector=is_vector)
-            return errors(found)
+                    jacobians[place] = _derivative(errors, result, place, is_vector=is_vector)
+            return errors(result)
 
         self.graph.add(self.gtsam.CustomFactor(noise, names, factor))
 

@@ -110,9 +110,9 @@ def _artists(artists: Iterable[Any], *, has_places: bool = True) -> Iterator[str
             looks["angles"] = np.where(is_circle, 0.0, looks["angles"])
         if has_places:
             looks["at"] = _places(artist)
-        found = [f"{name} {shortened(look)}" for name, look in looks.items() if look is not None]
+        result = [f"{name} {shortened(look)}" for name, look in looks.items() if look is not None]
         kind = type(artist).__name__.removeprefix("FillBetween")  # since matplotlib 3.10
-        yield f"{kind}: {', '.join(found)}"
+        yield f"{kind}: {', '.join(result)}"
 
 
 def _places(artist: Any) -> Any:

@@ -50,15 +50,15 @@ def write_kept_runs(folder: Path) -> None:
 
 def mistakes(estimate: Trajectory, truth: Trajectory) -> dict[str, Trajectory]:
     """Return estimates, each with a mistake."""
-    positions, turns, speeds = estimate.positions, estimate.quaternions, estimate.velocities
-    assert turns is not None
+    positions, rotations, speeds = estimate.positions, estimate.quaternions, estimate.velocities
+    assert rotations is not None
     assert speeds is not None
     estimate = dataclasses.replace(estimate, velocities=None)
     seconds = (estimate.stamps - estimate.stamps[0]) / 1e9
     middle = len(estimate) // 2
     early = np.minimum(np.arange(len(estimate)), middle)
-    lever = lie.rotate(turns, np.array([0.8, 0.0, 0.3]))
-    tilt = np.broadcast_to(lie.from_rotation_vector(np.array([0.3, 0.0, 0.0])), turns.shape)
+    lever = lie.rotate(rotations, np.array([0.8, 0.0, 0.3]))
+    tilt = np.broadcast_to(lie.from_rotation_vector(np.array([0.3, 0.0, 0.0])), rotations.shape)
 
     def changed(**values: object) -> Trajectory:
         return dataclasses.replace(estimate, **values)
@@ -69,21 +69,21 @@ def mistakes(estimate: Trajectory, truth: Trajectory) -> dict[str, Trajectory]:
         "fast_clock": changed(stamps=estimate.stamps + np.int64(5e6 * seconds)),
         "scaled": changed(positions=1.2 * positions),
         "millimetres": changed(positions=1000.0 * positions),
-        "w_first": changed(quaternions=turns[:, [3, 0, 1, 2]]),
-        "inverted": changed(quaternions=lie.conjugate(turns)),
+        "w_first": changed(quaternions=rotations[:, [3, 0, 1, 2]]),
+        "inverted": changed(quaternions=lie.conjugate(rotations)),
         "mirrored": changed(positions=positions * [1.0, -1.0, 1.0]),
         "optical": changed(positions=positions[:, [2, 0, 1]]),
         "level": changed(positions=positions * [1.0, 1.0, 0.0]),
-        "frozen": changed(positions=positions[early], quaternions=turns[early]),
+        "frozen": changed(positions=positions[early], quaternions=rotations[early]),
         "diverged": changed(positions=positions + np.maximum(seconds - 25.0, 0.0)[:, None] ** 3),
         "restarted": changed(
             positions=positions - np.where(early == middle, 1.0, 0.0)[:, None] * positions[middle]
         ),
         "lever": changed(positions=positions + lever),
-        "tilted": changed(quaternions=lie.multiply(turns, tilt)),
+        "tilted": changed(quaternions=lie.multiply(rotations, tilt)),
         "sparse": estimate[::40],
         "rounded": changed(stamps=estimate.stamps // 100_000_000 * 100_000_000),
-        "twisted": changed(velocities=lie.rotate(lie.conjugate(turns), speeds)),
+        "twisted": changed(velocities=lie.rotate(lie.conjugate(rotations), speeds)),
         "other": dataclasses.replace(simulate(5, 40.0).estimate, velocities=None),
     }
 
@@ -95,8 +95,8 @@ def printed(typed: str, runs: Path, folder: Path, capsys: pytest.CaptureFixture[
         for path in runs.iterdir():
             Path(path.name).symlink_to(path)
         status = main(typed.split())
-    said = capsys.readouterr()
-    parts = (f"$ trajeval {typed}\nstatus {status}\n", said.err, said.out)
+    text = capsys.readouterr()
+    parts = (f"$ trajeval {typed}\nstatus {status}\n", text.err, text.out)
     return "\n".join(parts).replace(str(folder), "FOLDER")
 
 
@@ -113,7 +113,7 @@ def told(source: str) -> str:
         read = read_trajectory(source)
     except InputError as error:
         return str(error)
-    said = [f"{remark.level.name} {remark.text}" for remark in read.reading.remarks]
-    said += [f"dropped: {count}, {why}" for why, count in read.reading.dropped.items()]
+    text = [f"{remark.level.name} {remark.text}" for remark in read.reading.remarks]
+    text += [f"dropped: {count}, {why}" for why, count in read.reading.dropped.items()]
     places = shortened(read.positions.sum(axis=0))
-    return f"{len(read)} poses, sum {places}, last {read.stamps[-1]} ns; {'; '.join(said)}"
+    return f"{len(read)} poses, sum {places}, last {read.stamps[-1]} ns; {'; '.join(text)}"

@@ -165,11 +165,11 @@ class Live:
     @property
     def results(self) -> list[Any]:
         """The results of all runs."""
-        found = []
+        result = []
         for folder in self.folders:
             assert main(["finish", str(folder), "--quiet", "--json", str(folder / "r.json")]) == 0
-            found.append(json.loads((folder / "r.json").read_text()))
-        return found
+            result.append(json.loads((folder / "r.json").read_text()))
+        return result
 
     @property
     def result(self) -> Any:
@@ -196,10 +196,12 @@ def batches(feed: list[Message], cuts: Sequence[int]) -> list[list[Message]]:
 def path_messages(final: Trajectory, step: int) -> list[Message]:
     """Return a path that grows by some poses each time, and is right in its last version only."""
     assert final.quaternions is not None
-    found = []
+    result = []
     for number, end in enumerate(range(step, len(final) + step, step)):
         aside_m = 0.8 * (number % 2) if end < len(final) else 0.0
         places = final.positions[:end] + [aside_m, 0.0, 0.0]
-        stamps, turns = final.stamps[:end].tolist(), final.quaternions[:end]
-        found.append((ESTIMATE, PATH, stamps[-1], path_message(stamps, places.tolist(), turns)))
-    return found
+        stamps, rotations = final.stamps[:end].tolist(), final.quaternions[:end]
+        result.append(
+            (ESTIMATE, PATH, stamps[-1], path_message(stamps, places.tolist(), rotations))
+        )
+    return result

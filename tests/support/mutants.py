@@ -92,8 +92,8 @@ def mutants(files: list[Path], generator: random.Random) -> Iterator[tuple[Path,
     for file in files:
         nodes = list(ast_nodes(get_ast(file.read_text())))
         for operator in ready:
-            found = (place for node in nodes for place in operator.mutation_positions(node))
-            for occurrence, (start, _) in enumerate(found):
+            result = (place for node in nodes for place in operator.mutation_positions(node))
+            for occurrence, (start, _) in enumerate(result):
                 places[file, start].append((operator, occurrence))
     order = list(places)
     generator.shuffle(order)
@@ -124,8 +124,8 @@ def tests_of(file: Path) -> list[str]:
     while not (Path("tests") / folder).is_dir():
         folder = folder.parent
     module = re.compile(rf"\b{'.'.join(file.with_suffix('').parts)}\b".replace(".", r"\."))
-    found = [path for path in Path("tests").rglob("test_*.py") if module.search(path.read_text())]
-    near = sorted(found, key=lambda item: (item.parent != Path("tests") / folder, item))
+    result = [path for path in Path("tests").rglob("test_*.py") if module.search(path.read_text())]
+    near = sorted(result, key=lambda item: (item.parent != Path("tests") / folder, item))
     own = Path("tests") / (folder if folder.parts else "system")
     of_all = Path("tests/system/test_package.py")  # it reads every file
     # To collect everything that uses the file takes minutes.
@@ -175,10 +175,10 @@ def main() -> int:
         )
         only = asked.only.split(",") if asked.only else []
         package = Path("trajeval_ros")
-        found = package.rglob("*.py") if everything else (package / asked.subpackage).glob("*.py")
+        result = package.rglob("*.py") if everything else (package / asked.subpackage).glob("*.py")
         files = [
             file
-            for file in sorted(found)
+            for file in sorted(result)
             if file.stem != "__init__"
             and file.parent != package / "ros"
             and (not only or file.stem in only)

@@ -176,12 +176,12 @@ class Row:
         metric, unit = EVO_RELATIONS[self.quantity]
         if self.relative:
             assert evaluation.relative is not None
-            ours = evaluation.relative[0].statistics[metric]
+            actual = evaluation.relative[0].statistics[metric]
         else:
             # Of single states evo's distance of points is the error of position.
             metric = "position_m" if self.quantity == "point_distance" else metric
-            ours = evaluation.ate[metric]
-        return ours if ours is None or unit == 1.0 else ours.scaled(unit)
+            actual = evaluation.ate[metric]
+        return actual if actual is None or unit == 1.0 else actual.scaled(unit)
 
     def disagreement(self, *, of_raw: bool = True) -> str | None:
         """Say how the numbers differ; None if they don't.
@@ -191,14 +191,14 @@ class Row:
         """
         theirs = self.entry["results"][self.quantity]
         try:
-            ours = self.ours()
+            actual = self.ours()
         except TrajevalError as error:
             return f"{self}: {error}"
-        if ours is None or ours.count != theirs["pairs"]:
-            return f"{self}: {theirs['pairs']} pairs, not {ours and ours.count}"
+        if actual is None or actual.count != theirs["pairs"]:
+            return f"{self}: {theirs['pairs']} pairs, not {actual and actual.count}"
         for name in STATISTICS:
             if name in theirs:
-                value, difference = theirs[name], abs(getattr(ours, name) - theirs[name])
+                value, difference = theirs[name], abs(getattr(actual, name) - theirs[name])
                 if not difference <= self.tolerance(value, of_raw=of_raw):
                     return f"{self}: {name} {value} differs by {difference:.3g}"
         return None
@@ -217,12 +217,12 @@ class Row:
         if self.entry.get("note") == "ulp" and not self.rotational:
             # Coordinates of 5e6 m: a float64 step is 9.3e-10 m, and a difference has three axes.
             return max(tolerance, 3e-9 * self._units_per_metre())
-        turned = {"full": math.sqrt(2.0), "rot_part": math.sqrt(2.0), "angle_rad": 1.0}
-        turns = turned.get(self.quantity, math.degrees(1.0) if self.rotational else None)
-        if self.pair == "straight_flat" and turns is not None and not self.relative:
+        rotated = {"full": math.sqrt(2.0), "rot_part": math.sqrt(2.0), "angle_rad": 1.0}
+        rotations = rotated.get(self.quantity, math.degrees(1.0) if self.rotational else None)
+        if self.pair == "straight_flat" and rotations is not None and not self.relative:
             # Of L = 240 m, both sides share w = 1 cm to the side of the line: the rotation about
             # it is determined to some 16 eps (L^2 / 12) / w^2.
-            return turns * 16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.01**2
+            return rotations * 16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.01**2
         if self.tool == "rpg" and RPG_METRICS.get(self.quantity, "").startswith("rotation"):
             # An angle from its arc cosine: an error e of the cosine is e / angle of the angle.
             # The cosine is half a trace of 27 products, hence some 16 roundings of eps.

@@ -27,24 +27,24 @@ _END = re.compile(_ABBREVIATIONS + r"[.?!]['\")*_]*(?=\s|$)")
 def paragraphs(text: str) -> list[str]:
     """Return the paragraphs and items of lists, each as one line."""
     text = _INDENTED.sub("", _FENCE.sub("", text))
-    found: list[list[str]] = [[]]
+    result: list[list[str]] = [[]]
     for line in text.splitlines():
         if not line.strip() or _LINE_TO_SKIP.match(line):
-            found.append([])
+            result.append([])
         elif _LIST_ITEM.match(line):
-            found.append([_LIST_ITEM.sub("", line)])
+            result.append([_LIST_ITEM.sub("", line)])
         else:
-            found[-1].append(line.strip())
-    return [" ".join(lines) for lines in found if lines]
+            result[-1].append(line.strip())
+    return [" ".join(lines) for lines in result if lines]
 
 
 def sentences(text: str) -> list[str]:
     """Return the sentences of a page; code in backticks and a formula count as one word each."""
-    found = []
+    result = []
     for paragraph in paragraphs(text):
         plain = _UNIT.sub("CODE", _LINK.sub(r"\1", paragraph))
-        found += [word.strip() for word in _END.split(plain) if word and word.strip()]
-    return found
+        result += [word.strip() for word in _END.split(plain) if word and word.strip()]
+    return result
 
 
 def length(sentence: str) -> int:
@@ -58,29 +58,29 @@ def wrapped(text: str) -> str:
     Tables, headings and code stay as they are. Lines break neither in code and formulas nor
     before what Markdown takes for the start of a list or a heading.
     """
-    found: list[str] = []
+    result: list[str] = []
     lines: list[str] = []  # of the paragraph that is being read
 
     def end() -> None:
         if lines:
-            found.extend(_filled(lines))
+            result.extend(_filled(lines))
             lines.clear()
 
     fence, is_code = "", False
     for line in text.splitlines():
         mark = re.match(r" *(```|~~~)", line)
         if line.strip():
-            is_code = line.startswith("    ") and not lines and (is_code or _starts_code(found))
+            is_code = line.startswith("    ") and not lines and (is_code or _starts_code(result))
         if fence or mark or is_code or not line.strip() or _LINE_TO_SKIP.match(line):
             end()
-            found.append(line)
+            result.append(line)
             fence = "" if mark and fence else fence or (mark[1] if mark else "")
         else:
             if _LIST_ITEM.match(line):
                 end()
             lines.append(line)
     end()
-    return "\n".join(found) + "\n"
+    return "\n".join(result) + "\n"
 
 
 def _starts_code(before: list[str]) -> bool:

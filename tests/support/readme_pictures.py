@@ -27,13 +27,13 @@ def draw(folder: Path) -> None:
     flight, live = folder / "flight", folder / "live"
     live.mkdir()
     sources = ["-g", f"{flight}:/groundtruth/pose", "-e", f"{flight}:/vio/odometry"]
-    said = ["--modality", "stereo-inertial", "--output", str(folder), "--quiet"]
+    text = ["--modality", "stereo-inertial", "--output", str(folder), "--quiet"]
     driver = str(Path(__file__).with_name("rerun_driver.py"))
     trajeval = [sys.executable, "-m", "trajeval_ros"]
     shown = ["view", str(live / "run.rrd"), "--screenshot", str(folder / "rerun.png")]
     for command in (
         [*trajeval, "simulate", str(flight)],
-        [*trajeval, "evaluate", *sources, *said],
+        [*trajeval, "evaluate", *sources, *text],
         [sys.executable, driver, "file", str(live), "120", "20"],
         [*trajeval, *shown],
     ):

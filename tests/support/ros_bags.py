@@ -93,9 +93,9 @@ def _pose_stamped(
 
 def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Any:
     types = STORE.types
-    turn = types["geometry_msgs/msg/Quaternion"](*map(float, quaternion))
+    rotation = types["geometry_msgs/msg/Quaternion"](*map(float, quaternion))
     place = types["geometry_msgs/msg/Point"](*map(float, position))
-    return types["geometry_msgs/msg/Pose"](place, turn)
+    return types["geometry_msgs/msg/Pose"](place, rotation)
 
 
 def _header(stamp: int, frame: str) -> Any:
@@ -115,8 +115,8 @@ def messages_of(source: Trajectory, topic: str, kind: str, frame: str = "world")
         ]
     if kind == POSE:
         return [
-            (topic, kind, stamp, pose_message(stamp, place, turn, frame))
-            for stamp, place, turn in zip(*columns, strict=True)
+            (topic, kind, stamp, pose_message(stamp, place, rotation, frame))
+            for stamp, place, rotation in zip(*columns, strict=True)
         ]
     velocities = np.zeros((len(source), 3))
     if source.velocities is not None and source.rotations is not None:

@@ -22,13 +22,13 @@ QUIET_S = 0.3  # without a message, after which all has arrived
 
 
 def main() -> None:
-    output, *wanted = sys.argv[1:]
+    output, *expected = sys.argv[1:]
     stopped: list[int] = []
     for item in (signal.SIGINT, signal.SIGTERM):
         signal.signal(item, lambda number, _: stopped.append(number))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("listener")
-    subscriptions = {topic: subscribe(node, topic, kind) for topic, kind in map(split, wanted)}
+    subscriptions = {topic: subscribe(node, topic, kind) for topic, kind in map(split, expected)}
     print("ready", flush=True)
     received: list[tuple[str, bytes]] = []
     quiet_s = 0.0

@@ -50,10 +50,10 @@ def flight(seed: int, count: int = 200) -> tuple[Trajectory, Trajectory]:
     )
     random = np.random.default_rng(seed + 1)
     assert truth.rotations is not None
-    turned = Rotation.from_rotvec(random.normal(scale=0.02, size=(count, 3))) * truth.rotations
+    rotated = Rotation.from_rotvec(random.normal(scale=0.02, size=(count, 3))) * truth.rotations
     drift = np.cumsum(random.normal(scale=0.02, size=(count, 3)), axis=0)
     return truth, dataclasses.replace(
-        truth, positions=truth.positions + drift, quaternions=turned.as_quat(), velocities=None
+        truth, positions=truth.positions + drift, quaternions=rotated.as_quat(), velocities=None
     )
 
 

@@ -67,7 +67,7 @@ class Rrd:
 
     def rows(self, entity: str, component: str) -> tuple[np.ndarray, list[Any]]:
         """Return stamps (N,) in order and the values of each row; static rows have stamp 0."""
-        found: list[tuple[int, Any]] = []
+        result: list[tuple[int, Any]] = []
         for path, is_static, batch in self._chunks:
             if path.strip("/") != entity or component not in batch.schema.names:
                 continue
@@ -75,9 +75,9 @@ class Rrd:
             for row in range(batch.num_rows):
                 if column[row].is_valid:
                     stamp = 0 if is_static else batch.column(TIMELINE)[row].value
-                    found.append((stamp, _values(column[row].values)))
-        found.sort(key=lambda item: item[0])
-        return np.array([item[0] for item in found], np.int64), [item[1] for item in found]
+                    result.append((stamp, _values(column[row].values)))
+        result.sort(key=lambda item: item[0])
+        return np.array([item[0] for item in result], np.int64), [item[1] for item in result]
 
     def numbers(self, entity: str) -> tuple[np.ndarray, np.ndarray]:
         """Return stamps and values without the NaN that end the lines of a plot."""
@@ -91,22 +91,22 @@ class Rrd:
 
     def path(self, entity: str, now: int) -> list[np.ndarray]:
         """Return the strips of a live path that are in sight at a time, coloured ones included."""
-        found = []
+        result = []
         shown = f"{entity}/path/", f"{entity}/by_error"
         for part in sorted(item for item in self.entities if item.startswith(shown)):
             stamps, rows = self.strips(part)
             until = int(np.searchsorted(stamps, now, side="right"))
-            found += [strip for row in rows[max(until - 1, 0) : until] for strip in row]
-        return found
+            result += [strip for row in rows[max(until - 1, 0) : until] for strip in row]
+        return result
 
     def transforms(self, entity: str) -> tuple[np.ndarray, list[tuple[Any, Any, float]]]:
         """Return stamps, and rotation (3, 3), translation and scale of each."""
-        stamps, turns = self.rows(entity, "Transform3D:mat3x3")
+        stamps, rotations = self.rows(entity, "Transform3D:mat3x3")
         _, moves = self.rows(entity, "Transform3D:translation")
         _, scales = self.rows(entity, "Transform3D:scale")
         return stamps, [
-            (turn.reshape(3, 3).T, move[0], float(np.ravel(scale)[0]))
-            for turn, move, scale in zip(turns, moves, scales, strict=True)
+            (rotation.reshape(3, 3).T, move[0], float(np.ravel(scale)[0]))
+            for rotation, move, scale in zip(rotations, moves, scales, strict=True)
         ]
 
 
@@ -128,10 +128,10 @@ _LAYOUT = ("name", "origin", "contents", "row_shares", "column_shares", "active_
 
 
 def _attributes(thing: Any, names: Iterable[str]) -> str:
-    found = {name: getattr(thing, name, None) for name in names}
+    result = {name: getattr(thing, name, None) for name in names}
     return ", ".join(
         f"{name} {item.as_arrow_array().to_pylist() if hasattr(item, 'as_arrow_array') else item}"
-        for name, item in found.items()
+        for name, item in result.items()
         if item is not None and not (name == "contents" and not isinstance(item[0], str))
     )
 

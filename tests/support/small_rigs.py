@@ -60,6 +60,6 @@ def small_rig() -> Small:
     errors = generator.normal(size=(2, len(own), 3))
     errors *= np.array([0.02, 0.03])[:, None, None] / np.linalg.norm(errors, axis=2)[..., None]
     marker = states.positions + states.rotations @ rig.lever
-    turned = Rotation.from_matrix(states.rotations @ rig.body) * Rotation.from_rotvec(errors[1])
-    samples = TruthSamples(own, marker + errors[0], turned.as_quat(), True)
+    rotated = Rotation.from_matrix(states.rotations @ rig.body) * Rotation.from_rotvec(errors[1])
+    samples = TruthSamples(own, marker + errors[0], rotated.as_quat(), True)
     return Small(samples, steps, rig)

@@ -48,16 +48,16 @@ def make_groundtruth(seed: int, count: int = 120, *, smooth: bool = True) -> Tra
         angles = seconds[:, None, None] * rates + phases
         positions = (sizes * np.sin(angles)).sum(axis=2)
         velocities = (sizes * rates * np.cos(angles)).sum(axis=2)
-        turns = 1.5 * np.sin(seconds[:, None] * rates[0] + phases[0])
+        rotations = 1.5 * np.sin(seconds[:, None] * rates[0] + phases[0])
     else:
         positions = np.cumsum(random.normal(scale=0.6, size=(count, 3)), axis=0)
         velocities = random.normal(size=(count, 3))
-        turns = random.normal(size=(count, 3))
+        rotations = random.normal(size=(count, 3))
     return Trajectory(
         stamps=stamps,
         positions=positions + random.normal(scale=5.0, size=3),
         quaternions=(
-            Rotation.from_rotvec(turns) * Rotation.random(random_state=seed % 2**31)
+            Rotation.from_rotvec(rotations) * Rotation.random(random_state=seed % 2**31)
         ).as_quat(),
         velocities=velocities,
         gyroscope_biases=random.normal(scale=0.01, size=(count, 3)),
@@ -72,7 +72,7 @@ def make_estimate(groundtruth: Trajectory, seed: int, *, error_m: float = 0.1) -
     count = len(truth)
     drift = np.cumsum(random.normal(scale=error_m / 5.0, size=(count, 3)), axis=0)
     noise = random.normal(scale=error_m, size=(count, 3))
-    turns = random.normal(scale=0.02, size=(count, 3)) + random.normal(scale=0.03, size=3)
+    rotations = random.normal(scale=0.02, size=(count, 3)) + random.normal(scale=0.03, size=3)
     assert truth.rotations is not None
     assert truth.velocities is not None
     assert truth.gyroscope_biases is not None
@@ -81,7 +81,7 @@ def make_estimate(groundtruth: Trajectory, seed: int, *, error_m: float = 0.1) -
     return Trajectory(
         stamps=truth.stamps + random.integers(-9_000_000, 9_000_000, size=count),
         positions=truth.positions + drift + noise,
-        quaternions=(Rotation.from_rotvec(turns) * truth.rotations).as_quat(),
+        quaternions=(Rotation.from_rotvec(rotations) * truth.rotations).as_quat(),
         velocities=truth.velocities + random.normal(scale=0.05, size=(count, 3)),
         gyroscope_biases=truth.gyroscope_biases + random.normal(scale=1e-3, size=(count, 3)),
         accelerometer_biases=truth.accelerometer_biases
@@ -159,9 +159,9 @@ def assert_same_numbers(
     first: Evaluation, second: Evaluation, relative: float = 1e-9, absolute: float = 1e-12
 ) -> None:
     """Assert that two evaluations agree in all statistics, relative to each metric's size."""
-    ours, theirs = all_statistics(first), all_statistics(second)
-    assert ours.keys() == theirs.keys()
-    for name, mine in ours.items():
+    actual, theirs = all_statistics(first), all_statistics(second)
+    assert actual.keys() == theirs.keys()
+    for name, mine in actual.items():
         other = theirs[name]
         assert (mine is None) == (other is None), name
         if mine is None or other is None:

@@ -17,16 +17,16 @@ def write_tum(
 ) -> Path:
     """Write a loop of 40 m with a slowly turning body; `scale` makes an estimate of it."""
     time = np.arange(count) / rate
-    turn = 2.0 * np.pi * time / time[-1]
+    rotation = 2.0 * np.pi * time / time[-1]
     columns = [
         start + time,
-        6.0 * scale * np.cos(turn),
-        6.0 * scale * np.sin(turn),
-        scale * np.sin(3.0 * turn),
+        6.0 * scale * np.cos(rotation),
+        6.0 * scale * np.sin(rotation),
+        scale * np.sin(3.0 * rotation),
         np.zeros(count),
         np.zeros(count),
-        np.sin(turn / 2.0),
-        np.cos(turn / 2.0),
+        np.sin(rotation / 2.0),
+        np.cos(rotation / 2.0),
     ]
     np.savetxt(path, np.column_stack(columns), fmt="%.9f")
     return path

@@ -28,14 +28,14 @@ def direction(axis: str) -> Array:
 
 def standing(trajectory: Trajectory, axis: str, *, said: bool = True) -> Trajectory:
     """Return a trajectory of a z-up world in one that has another axis up."""
-    turn = Rotation.align_vectors([direction(axis)], [[0.0, 0.0, 1.0]])[0]
+    rotation = Rotation.align_vectors([direction(axis)], [[0.0, 0.0, 1.0]])[0]
     assert trajectory.rotations is not None
     velocities = trajectory.velocities
     return dataclasses.replace(
         trajectory,
-        positions=turn.apply(trajectory.positions),
-        quaternions=(turn * trajectory.rotations).as_quat(),
-        velocities=None if velocities is None else turn.apply(velocities),
+        positions=rotation.apply(trajectory.positions),
+        quaternions=(rotation * trajectory.rotations).as_quat(),
+        velocities=None if velocities is None else rotation.apply(velocities),
         covariances=None,
         up=UpAxis(axis) if said else Z_UP,
     )
@@ -48,12 +48,12 @@ def car(seed: int, *, slope_deg: float = 0.0, count: int = 400) -> Trajectory:
     heading = random.uniform(-np.pi, np.pi) + np.cumsum(rates) * 0.1
     ahead = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(count)])
     bumps = random.normal(scale=0.02, size=(count, 2))
-    turns = Rotation.from_euler("ZYX", np.column_stack([heading, bumps]))
+    rotations = Rotation.from_euler("ZYX", np.column_stack([heading, bumps]))
     slope = Rotation.from_euler("X", slope_deg, degrees=True)
     height = 0.3 * np.sin(np.linspace(0.0, 9.0, count))
     places = np.cumsum(ahead, axis=0) + np.outer(height, [0.0, 0.0, 1.0])
     stamps = 10**18 + np.arange(count, dtype=np.int64) * 100_000_000
-    return Trajectory(stamps, slope.apply(places), (slope * turns).as_quat())
+    return Trajectory(stamps, slope.apply(places), (slope * rotations).as_quat())
 
 
 def erring(truth: Trajectory, seed: int = 1) -> Trajectory:

@@ -85,9 +85,9 @@ def frobenius(value: np.ndarray, expected: np.ndarray) -> float:
 
 def to_left(covariance: np.ndarray, state: State) -> np.ndarray:
     """Return the covariance with the first rotation perturbed on the left as all others."""
-    turn = np.eye(len(covariance))
-    turn[3:6, 3:6] = so3.left_jacobian(state.first_turn)
-    return turn @ covariance @ turn.T
+    rotation = np.eye(len(covariance))
+    rotation[3:6, 3:6] = so3.left_jacobian(state.first_turn)
+    return rotation @ covariance @ rotation.T
 
 
 def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:

@@ -73,8 +73,8 @@ def map_to_odom(groundtruth: Trajectory, correction_m: float) -> Trajectory:
     wander = 0.002 * np.sin(0.7 * seconds)
     positions = np.stack([3.0 + wander, 1.0 - wander, 0.0 * seconds], axis=1)
     positions[seconds >= 60.0, 0] += correction_m
-    turns = lie.from_rotation_vector(np.outer(0.5 + 0.1 * wander, [0.0, 0.0, 1.0]))
-    return Trajectory(stamps, positions, turns, frame="map", child_frame="odom")
+    rotations = lie.from_rotation_vector(np.outer(0.5 + 0.1 * wander, [0.0, 0.0, 1.0]))
+    return Trajectory(stamps, positions, rotations, frame="map", child_frame="odom")
 
 
 @cache

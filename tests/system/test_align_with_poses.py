@@ -41,29 +41,29 @@ def test_no_other_alignment_has_less_of_both_errors(seed: int, gauge: Gauge) -> 
     assert truth.quaternions is not None
     assert estimate.quaternions is not None
     # Other orientations than the positions have, so that there is something to weigh.
-    turned = make_element(gauge, seed + 2, reach_m=0.0).rotation
-    some = Rotation.from_rotvec(0.2 * Rotation.from_matrix(turned).as_rotvec())
+    rotated = make_element(gauge, seed + 2, reach_m=0.0).rotation
+    some = Rotation.from_rotvec(0.2 * Rotation.from_matrix(rotated).as_rotvec())
     a, b = truth.quaternions, (some * Rotation.from_quat(estimate.quaternions)).as_quat()
     p, q = truth.positions, moved(estimate, make_element(gauge, seed + 3)).positions
     moments, orientations = Moments.of_pairs(p, q), OrientationSum.of_pairs(a, b)
-    found = solve(gauge, moments, orientations, align_with="poses")
-    assert found.by_positions is not None
-    arm = moments.rmse(found.by_positions) / math.radians(2.0)
+    result = solve(gauge, moments, orientations, align_with="poses")
+    assert result.by_positions is not None
+    arm = moments.rmse(result.by_positions) / math.radians(2.0)
 
     def cost(similarity: Similarity) -> float:
         chord = 2.0 * math.sin(orientations.error(similarity.rotation) / 2.0)
         return moments.rmse(similarity) ** 2 + arm**2 * chord**2
 
-    least, centre = cost(found.similarity), found.similarity.positions(q).mean(axis=0)
+    least, centre = cost(result.similarity), result.similarity.positions(q).mean(axis=0)
     for _ in range(20):
         step = 10.0 ** random.uniform(-4, -1) * random.normal(size=3)
         step[:2] *= gauge.has_so3
         growth = math.exp(step[2]) if gauge.has_scale else 1.0
-        turn = growth * Rotation.from_rotvec(step).as_matrix()
+        rotation = growth * Rotation.from_rotvec(step).as_matrix()
         other = Similarity(
-            turn @ found.similarity.rotation / growth,
-            turn @ (found.similarity.translation - centre) + centre,
-            found.similarity.scale * growth,
+            rotation @ result.similarity.rotation / growth,
+            rotation @ (result.similarity.translation - centre) + centre,
+            result.similarity.scale * growth,
         )
         assert cost(other) >= least * (1.0 - 1e-9)
 
@@ -90,12 +90,12 @@ def test_worlds_and_units_change_nothing(seed: int, gauge: Gauge, way: str, unit
         return align(gauge, a.positions, b.positions, orientations=orientations, align_with=way)
 
     plain = found(truth, estimate)
-    turned = found(moved(moved(truth, rigid), stretch), moved(moved(estimate, other), stretch))
+    rotated = found(moved(moved(truth, rigid), stretch), moved(moved(estimate, other), stretch))
     expected = rigid.rotation @ plain.similarity.rotation @ other.rotation.T
-    np.testing.assert_allclose(turned.similarity.rotation, expected, atol=1e-9)
+    np.testing.assert_allclose(rotated.similarity.rotation, expected, atol=1e-9)
     scale = plain.similarity.scale / other.scale
-    assert turned.similarity.scale == pytest.approx(scale, rel=1e-9)
-    assert freedom_numbers(turned) == pytest.approx(freedom_numbers(plain), rel=1e-6, abs=1e-8)
+    assert rotated.similarity.scale == pytest.approx(scale, rel=1e-9)
+    assert freedom_numbers(rotated) == pytest.approx(freedom_numbers(plain), rel=1e-6, abs=1e-8)
 
 
 def test_orientations_have_no_say_where_positions_have_no_error() -> None:
@@ -133,10 +133,10 @@ def test_poses_of_another_body_are_refused_and_taken_once_it_is_known() -> None:
     with pytest.raises(InputError, match=r"another body frame, rotated by 20 deg.*--hand-eye"):
         evaluate(marked, estimate, on(way="poses"))
     request = Request(on(way="poses"), CalibrationRequest(hand_eye=True))
-    (found,) = run(marked, [estimate], request).runs
-    assert found.calibrated is not None
-    assert found.calibrated.rotation_applied
-    assert rmse(found.evaluation, "rotation_deg") < 2.5
+    (result,) = run(marked, [estimate], request).runs
+    assert result.calibrated is not None
+    assert result.calibrated.rotation_applied
+    assert rmse(result.evaluation, "rotation_deg") < 2.5
 
 
 def test_a_body_that_calibration_leaves_open_is_refused() -> None:
@@ -153,12 +153,12 @@ def test_positions_that_get_much_worse_are_said(turned_deg: float, is_said: bool
     level = dataclasses.replace(truth, quaternions=np.tile([0.0, 0.0, 0.0, 1.0], (200, 1)))
     still = dataclasses.replace(estimate, quaternions=level.quaternions)
     marked = of_marker(level, Rotation.from_rotvec(turned_deg / 20.0 * X.as_rotvec()))
-    found = evaluate(marked, still, on(way="poses"))
-    before, after = rmse(evaluate(marked, still, on()), "position_m"), rmse(found, "position_m")
+    result = evaluate(marked, still, on(way="poses"))
+    before, after = rmse(evaluate(marked, still, on()), "position_m"), rmse(result, "position_m")
     assert (after > 1.25 * before) is is_said
-    said = [warning for warning in found.warnings if "increases the position ATE" in warning]
-    assert len(said) == is_said
-    assert all(f"from {before:.4g} m to {after:.4g} m" in item for item in said)
+    text = [warning for warning in result.warnings if "increases the position ATE" in warning]
+    assert len(text) == is_said
+    assert all(f"from {before:.4g} m to {after:.4g} m" in item for item in text)
 
 
 def test_poses_need_orientations_and_something_to_turn() -> None:
@@ -188,11 +188,11 @@ def test_the_command_aligns_with_poses(tmp_path: Path, capsys: pytest.CaptureFix
     result = tmp_path / "result.json"
     assert main([*words, *files, f"--json={result}"]) == 0
     assert "all 301 pairs with orientations" in capsys.readouterr().out
-    found = json.loads(result.read_text())
-    assert found["provenance"]["settings"]["align_with"] == "poses"
-    assert found["runs"][0]["ate"]["rotation_deg"]["rmse"] < 2.0
+    outcome = json.loads(result.read_text())
+    assert outcome["provenance"]["settings"]["align_with"] == "poses"
+    assert outcome["runs"][0]["ate"]["rotation_deg"]["rmse"] < 2.0
     other = ["-g", str(tmp_path / "m.txt"), "-e", str(tmp_path / "f.txt")]
     assert main([*words, *other]) == 2
-    said = capsys.readouterr().err
-    assert "another body" in said
-    assert len(said.strip().splitlines()) == 1
+    text = capsys.readouterr().err
+    assert "another body" in text
+    assert len(text.strip().splitlines()) == 1

@@ -85,13 +85,13 @@ def test_every_name_has_an_example_that_runs(name: str) -> None:
     text = inspect.getdoc(trajeval_ros) if name == "__init__" else docstring_of(name)
     assert text is not None
     require_extras(text)
-    _, found, example = text.partition("Example:\n")
-    assert found, f"{name} has no example"
+    _, result, example = text.partition("Example:\n")
+    assert result, f"{name} has no example"
     test = doctest.DocTestParser().get_doctest(textwrap.dedent(example), {}, name, None, 0)
     assert test.examples, f"{name} has no example"
-    said: list[str] = []
+    message: list[str] = []
     runner = doctest.DocTestRunner(verbose=False, optionflags=doctest.ELLIPSIS)
-    assert runner.run(test, out=said.append).failed == 0, "".join(said)
+    assert runner.run(test, out=message.append).failed == 0, "".join(message)
 
 
 def test_the_page_on_python_lists_every_name() -> None:

@@ -72,12 +72,12 @@ def test_fitted_errors_don_t_depend_on_the_estimate_s_frame(pair: Pair, seed: in
 
 def test_fitted_errors_are_those_of_the_rule_written_out() -> None:
     pair = make_pair(3, 160, smooth=True)
-    found = evaluate(pair.groundtruth, pair.estimate, shorter(UZH))
-    assert found.relative is not None
-    truth, estimate = found.association.groundtruth, found.association.estimate
+    result = evaluate(pair.groundtruth, pair.estimate, shorter(UZH))
+    assert result.relative is not None
+    truth, estimate = result.association.groundtruth, result.association.estimate
     assert truth.rotations is not None
     assert estimate.rotations is not None
-    for segment in found.relative:
+    for segment in result.relative:
         errors = segment.errors
         assert len(errors.ends) > 10
         for row, (start, end) in enumerate(zip(errors.starts, errors.ends, strict=True)):
@@ -86,8 +86,8 @@ def test_fitted_errors_are_those_of_the_rule_written_out() -> None:
             there = alone.positions(estimate.positions[end])
             expected_m = np.linalg.norm(truth.positions[end] - there)
             assert errors.position_m[row] == pytest.approx(expected_m, abs=1e-9)
-            turned = Rotation.from_matrix(alone.rotation) * estimate.rotations[int(end)]
-            between = truth.rotations[int(end)] * turned.inv()
+            rotated = Rotation.from_matrix(alone.rotation) * estimate.rotations[int(end)]
+            between = truth.rotations[int(end)] * rotated.inv()
             expected_deg = np.degrees(between.magnitude())
             assert errors.rotation_deg[row] == pytest.approx(expected_deg, abs=1e-6)
 
@@ -116,11 +116,11 @@ def surveyed(seed: int = 0, count: int = 8) -> tuple[Trajectory, Trajectory, np.
 
 def test_hilti_s_lever_arm_and_alignment() -> None:
     control, estimate, _ = surveyed()
-    found = evaluate(control, estimate, HILTI)
-    assert found.ate["position_m"] is not None
-    assert found.ate["position_m"].max < 1e-9
-    assert found.score is not None
-    assert found.score.value == pytest.approx(100.0)
+    result = evaluate(control, estimate, HILTI)
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].max < 1e-9
+    assert result.score is not None
+    assert result.score.value == pytest.approx(100.0)
     without = evaluate(control, estimate, dataclasses.replace(HILTI, lever_m=None))
     assert without.ate["position_m"] is not None
     assert without.ate["position_m"].rmse > 0.05
@@ -130,11 +130,11 @@ def test_missing_points_score_nothing() -> None:
     control, estimate, _ = surveyed()
     # The estimate begins 2.1 s after the fourth point.
     late = estimate[estimate.stamps > control.stamps[3] + 2_050_000_000]
-    found = evaluate(control, late, HILTI)
-    assert found.score is not None
-    assert (found.score.references, found.score.missing) == (8, 4)
-    assert found.score.value == pytest.approx(50.0)
-    assert "4 points without an estimate, scored 0" in found.warnings
+    result = evaluate(control, late, HILTI)
+    assert result.score is not None
+    assert (result.score.references, result.score.missing) == (8, 4)
+    assert result.score.value == pytest.approx(50.0)
+    assert "4 points without an estimate, scored 0" in result.warnings
 
 
 @given(seed=seeds, visited=st.sets(st.integers(0, 11), min_size=1, max_size=3))
@@ -156,11 +156,11 @@ def test_a_point_with_several_poses_counts_once_by_the_nearest(
         lever_m=None,
         association=dataclasses.replace(HILTI.association, method=method),
     )
-    found = evaluate(control, Trajectory(stamps, positions), protocol).score
-    assert found is not None
-    assert (found.found[0], found.missing) == (len(visited), 12 - len(visited))
-    assert sum(found.found) == len(visited)
-    assert found.value == pytest.approx(100.0 * len(visited) / 12)
+    result = evaluate(control, Trajectory(stamps, positions), protocol).score
+    assert result is not None
+    assert (result.found[0], result.missing) == (len(visited), 12 - len(visited))
+    assert sum(result.found) == len(visited)
+    assert result.value == pytest.approx(100.0 * len(visited) / 12)
 
 
 def test_a_score_is_by_points_and_not_by_what_is_between_them() -> None:
@@ -210,9 +210,9 @@ def test_a_lever_arm_on_a_tilting_body_leaves_no_error(
     assert estimate.rotations is not None
     tips = estimate.positions + estimate.rotations.apply(lever)
     truth = dataclasses.replace(estimate, positions=tips, quaternions=None, velocities=None)
-    found = evaluate(truth, estimate, Protocol(gauge=gauge, lever_m=lever, lengths=()))
-    assert found.ate["position_m"] is not None
-    assert found.ate["position_m"].max < 1e-9
+    result = evaluate(truth, estimate, Protocol(gauge=gauge, lever_m=lever, lengths=()))
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].max < 1e-9
 
 
 def test_a_file_is_a_protocol(tmp_path: Path) -> None:

@@ -151,14 +151,14 @@ def test_live_states_may_lack_columns(columns: int) -> None:
     ):
         add(side if columns == 7 else dataclasses.replace(side, quaternions=None))
     live.update(at_end=True)
-    found = live.snapshot().ate
+    result = live.snapshot().ate
     sides = [
         item if columns == 7 else dataclasses.replace(item, quaternions=None)
         for item in (pair.groundtruth, pair.estimate)
     ]
     expected = evaluate(*sides).ate
     assert expected["position_m"] is not None
-    assert found["position_m"] is not None
-    assert found["position_m"].count == expected["position_m"].count
-    assert found["position_m"].rmse == pytest.approx(expected["position_m"].rmse, abs=1e-9)
-    assert (found["rotation_deg"] is None) == (columns == 3)
+    assert result["position_m"] is not None
+    assert result["position_m"].count == expected["position_m"].count
+    assert result["position_m"].rmse == pytest.approx(expected["position_m"].rmse, abs=1e-9)
+    assert (result["rotation_deg"] is None) == (columns == 3)

@@ -49,9 +49,9 @@ def _refused(bag: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -> 
     capsys.readouterr()
     sides = ["-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/vio/odometry"]
     assert main(["evaluate", *sides, *arguments]) == 2
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
-    return said
+    text = capsys.readouterr().err
+    assert len(text.splitlines()) == 1
+    return text
 
 
 ALIGNMENTS = [
@@ -241,11 +241,11 @@ def test_right_perturbations_are_turned(honest: Path, tmp_path: Path) -> None:
     joint = read_joint_covariance(source)
     from scipy.spatial.transform import Rotation
 
-    turn = np.eye(549)
+    rotation_step = np.eye(549)
     for place, rotation in enumerate(Rotation.from_quat(joint.quaternions).as_matrix()):
         rows = slice(9 * place + 3, 9 * place + 6)
-        turn[rows, rows] = rotation
-    covariance = turn.T @ _dense(source) @ turn
+        rotation_step[rows, rows] = rotation
+    covariance = rotation_step.T @ _dense(source) @ rotation_step
     no_information = dict.fromkeys(("info_data", "info_indices", "info_indptr"))
     np.savez(file, **_changed(source, cov=covariance, perturbation="right", **no_information))
     result, expected = (
@@ -279,8 +279,8 @@ def test_unknown_covariances_in_messages_are_recognised(
 ) -> None:
     bag = tmp_path / "drift"
     assert main(["simulate", str(bag), "--duration", "6"]) == 0
-    said = _refused(bag, capsys, "--gauge", "yaw", "--covariance", "message")
-    assert "unknown" in said
+    text = _refused(bag, capsys, "--gauge", "yaw", "--covariance", "message")
+    assert "unknown" in text
 
 
 @pytest.mark.parametrize(
@@ -299,9 +299,9 @@ def test_says_what_can_not_be_simulated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], why: str
 ) -> None:
     assert main(["simulate", str(tmp_path / "bag"), *arguments]) == 2
-    said = capsys.readouterr().err
-    assert why in said
-    assert len(said.splitlines()) == 1
+    text = capsys.readouterr().err
+    assert why in text
+    assert len(text.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
 
@@ -318,9 +318,9 @@ def test_runs_need_a_name(
     monkeypatch.chdir(tmp_path / "inside")
     command = ["simulate", folder, "--profile", "paper", "--duration", "5", "--runs", runs]
     assert main(command) == 2
-    said = capsys.readouterr().err
-    assert f"{folder} has no folder name" in said
-    assert len(said.splitlines()) == 1
+    text = capsys.readouterr().err
+    assert f"{folder} has no folder name" in text
+    assert len(text.splitlines()) == 1
     assert [path.name for path in tmp_path.rglob("*")] == ["inside"]
 
 
@@ -346,8 +346,8 @@ def test_an_estimate_without_covariances_does_not_prevent_the_test_of_others(
     assert without["consistency"] is without["integrity"] is None
     assert tested["consistency"] is not None
     assert tested["integrity"] is not None
-    [said] = [remark for remark in without["remarks"] if remark["code"] == "no_consistency_test"]
-    assert said["level"] == "warning"
+    [text] = [remark for remark in without["remarks"] if remark["code"] == "no_consistency_test"]
+    assert text["level"] == "warning"
     capsys.readouterr()
     assert main(["evaluate", *sides, "--covariance", "message"]) == 2  # nothing to test
     assert "has no covariances" in capsys.readouterr().err

@@ -42,8 +42,8 @@ def live_coverage(
         for side, add, delay in sides:
             come = (side.stamps + delay >= begin) & (side.stamps + delay < until)
             if come.any():
-                turned = None if side.quaternions is None else side.quaternions[come]
-                add(trajectory(side.stamps[come], states(side.positions[come], turned)))
+                rotated = None if side.quaternions is None else side.quaternions[come]
+                add(trajectory(side.stamps[come], states(side.positions[come], rotated)))
         live.update()
     live.update(at_end=True)
     return live.snapshot().coverage
@@ -140,12 +140,12 @@ def test_what_keyframes_are(times_s: NDArray[np.float64], expected: bool) -> Non
 def turning_on_the_spot() -> tuple[Trajectory, Trajectory]:
     """Return groundtruth that turns fast for 12 s where it stands, and keyframes but there."""
     seconds = np.arange(0.0, 60.0, 0.05)
-    turn = np.interp(seconds, [0, 30, 42, 60], [0.0, 0.3, 2.8, 3.1]) / 2.0
+    rotation = np.interp(seconds, [0, 30, 42, 60], [0.0, 0.3, 2.8, 3.1]) / 2.0
     zero = np.zeros(len(seconds))
     truth = Trajectory(
         np.round(seconds * 1e9).astype(np.int64),
         np.column_stack([np.interp(seconds, [0, 30, 42, 60], [0.0, 3.0, 3.0, 5.0]), zero, zero]),
-        np.column_stack([zero, zero, np.sin(turn), np.cos(turn)]),
+        np.column_stack([zero, zero, np.sin(rotation), np.cos(rotation)]),
     )
     uneven = np.cumsum(np.tile([0.5, 0.5, 0.5, 1.5], 10))
     return truth, at_ms(1e3 * np.concatenate([uneven, 42.5 + uneven[uneven < 17.0]]))

@@ -101,8 +101,8 @@ def test_first_states_on_a_line_do_not_align_later_ones_off_it(gauge: Gauge) -> 
     assert evaluate(groundtruth, estimate, by(gauge, align_states=8)).ate["position_m"]
     # A line throughout leaves no position open.
     line = along_line(PATH, DIRECTIONS["diagonal"])
-    found = evaluate(line, disturbed(line, error_m=0.01), by(gauge, align_states=5))
-    assert found.ate["position_m"] is not None
+    result = evaluate(line, disturbed(line, error_m=0.01), by(gauge, align_states=5))
+    assert result.ate["position_m"] is not None
 
 
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.PLANAR])

@@ -32,9 +32,11 @@ GAUGES = ["none", "translation", "yaw", "se3", "sim3"]
 )
 def test_vectors_are_as_long_as_the_errors(seed: int, gauge: str, form: str) -> None:
     pair = make_pair(seed, 40, smooth=True)
-    found = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge=gauge, ate_form=form))
-    assume(not found.withheld)  # the rotation errors of one seed, which positions determine poorly
-    vectors, absolute = found.error_vectors, found.absolute
+    result = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge=gauge, ate_form=form))
+    assume(
+        not result.withheld
+    )  # the rotation errors of one seed, which positions determine poorly
+    vectors, absolute = result.error_vectors, result.absolute
     for item in (vectors.position_world_m, vectors.position_body_m):
         np.testing.assert_allclose(np.linalg.norm(item, axis=1), absolute.position_m, atol=1e-12)
     for item in (vectors.rotation_world_deg, vectors.rotation_body_deg):
@@ -43,17 +45,17 @@ def test_vectors_are_as_long_as_the_errors(seed: int, gauge: str, form: str) -> 
 
 def test_the_tutorials_form_has_vectors_of_its_own() -> None:
     pair = make_pair(5, 60, smooth=True)
-    found = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge="se3", ate_form="tutorial"))
-    position = found.error_vectors.position_world_m
-    np.testing.assert_allclose(np.linalg.norm(position, axis=1), found.absolute.position_m)
+    result = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge="se3", ate_form="tutorial"))
+    position = result.error_vectors.position_world_m
+    np.testing.assert_allclose(np.linalg.norm(position, axis=1), result.absolute.position_m)
 
 
 @given(seed=st.integers(0, 500))
 def test_aligned_poses_and_errors_give_the_groundtruth(seed: int) -> None:
     pair = make_pair(seed, 40, smooth=True)
-    found = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge="yaw"))
-    assume(not found.withheld)
-    vectors, truth, aligned = found.error_vectors, found.association.groundtruth, found.aligned
+    result = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge="yaw"))
+    assume(not result.withheld)
+    vectors, truth, aligned = result.error_vectors, result.association.groundtruth, result.aligned
     np.testing.assert_allclose(
         aligned.positions + vectors.position_world_m, truth.positions, atol=1e-12
     )
@@ -75,8 +77,8 @@ def test_an_error_along_one_axis_is_on_that_axis() -> None:
     heading = Rotation.from_rotvec([[0, 0, angle] for angle in (0, 0, 90, 90)], degrees=True)
     truth = Trajectory.from_columns(stamps, positions, heading.as_quat())
     behind = positions - 0.1 * heading.apply([1.0, 0, 0])
-    turned = heading * Rotation.from_euler("z", 2.0, degrees=True)
-    estimate = Trajectory.from_columns(stamps, behind, turned.as_quat())
+    rotated = heading * Rotation.from_euler("z", 2.0, degrees=True)
+    estimate = Trajectory.from_columns(stamps, behind, rotated.as_quat())
     protocol = Protocol(gauge="none", lengths=())
     vectors = evaluate(truth, estimate, protocol).error_vectors
     np.testing.assert_allclose(vectors.position_body_m, [[0.1, 0, 0]] * 4, atol=1e-12)
@@ -101,14 +103,14 @@ def test_what_is_missing_is_left_out() -> None:
 def test_columns_are_along_the_groundtruths_own_axes() -> None:
     flight = simulate(seed=1, duration_s=20.0)
     up = UpAxis("-y")
-    turn = Rotation.from_matrix(up.matrix.T)
+    rotation = Rotation.from_matrix(up.matrix.T)
 
     def turned(trajectory: Trajectory) -> Trajectory:
         assert trajectory.rotations is not None
         return dataclasses.replace(
             trajectory,
-            positions=turn.apply(trajectory.positions),
-            quaternions=(turn * trajectory.rotations).as_quat(),
+            positions=rotation.apply(trajectory.positions),
+            quaternions=(rotation * trajectory.rotations).as_quat(),
             velocities=None,
             covariances=None,
             up=up,
@@ -118,13 +120,13 @@ def test_columns_are_along_the_groundtruths_own_axes() -> None:
     upright = run(flight.groundtruth, [flight.estimate], request)
     camera = run(turned(flight.groundtruth), [turned(flight.estimate)], request)
     expected = upright.runs[0].evaluation.to_columns()
-    found = camera.runs[0].evaluation.to_columns()
+    result = camera.runs[0].evaluation.to_columns()
     for name in ("aligned_positions", "position_world_m", "rotation_world_deg"):
-        np.testing.assert_allclose(found[name], turn.apply(expected[name]), atol=1e-9)
+        np.testing.assert_allclose(result[name], rotation.apply(expected[name]), atol=1e-9)
     for name in ("position_body_m", "rotation_body_deg", "position_m"):
-        np.testing.assert_allclose(found[name], expected[name], atol=1e-9)
-    same = Rotation.from_quat(found["aligned_quaternions"]).inv() * (
-        turn * Rotation.from_quat(expected["aligned_quaternions"])
+        np.testing.assert_allclose(result[name], expected[name], atol=1e-9)
+    same = Rotation.from_quat(result["aligned_quaternions"]).inv() * (
+        rotation * Rotation.from_quat(expected["aligned_quaternions"])
     )
     assert same.magnitude().max() < 1e-9
 
@@ -155,9 +157,9 @@ def test_the_table_has_a_row_for_each_pair(outcome: Outcome, tmp_path: Path) -> 
                 ("position_body_m", [f"position_body_m_{axis}" for axis in "xyz"]),
                 ("aligned_positions", [f"aligned_positions_{axis}" for axis in "xyz"]),
             ):
-                found = np.column_stack([rows[part].to_numpy() for part in parts])
+                result = np.column_stack([rows[part].to_numpy() for part in parts])
                 np.testing.assert_array_equal(
-                    found, archive[f"{name}.{column}"].reshape(found.shape)
+                    result, archive[f"{name}.{column}"].reshape(result.shape)
                 )
         assert "points.rotation_world_deg" not in archive
         yaw = table["rotation_world_deg_yaw"].to_pylist()
@@ -185,8 +187,8 @@ def test_without_pyarrow_there_is_no_table_and_a_hint(
     # Not sys.modules: Rerun imports pyarrow, too.
     monkeypatch.setattr(error_archive, "have_pyarrow", lambda: False)
     assert main(["evaluate", *sources, "--output", str(folder)]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"errors.parquet needs pyarrow, install it: {pyarrow_command()}" in said
+    text = " ".join(capsys.readouterr().out.split())
+    assert f"errors.parquet needs pyarrow, install it: {pyarrow_command()}" in text
     assert not (folder / "errors.parquet").exists()
     assert json.loads((folder / "result.json").read_text())["schema"] == "trajeval/3"
     with np.load(folder / "errors.npz") as archive:

@@ -204,8 +204,8 @@ def test_a_low_coverage_is_said() -> None:
     result = evaluate(groundtruth, lost, BASE)
     assert result.association.groundtruth_coverage == pytest.approx(60 / 199, abs=0.02)
     # From the first to the last pair nothing is lost, so this is a note.
-    [said] = [remark for remark in result.remarks if "groundtruth's time" in remark.text]
-    assert said.level is Level.NOTE
+    [text] = [remark for remark in result.remarks if "groundtruth's time" in remark.text]
+    assert text.level is Level.NOTE
 
 
 def test_groundtruth_that_is_slow_is_said_with_the_options_that_help() -> None:
@@ -213,8 +213,8 @@ def test_groundtruth_that_is_slow_is_said_with_the_options_that_help() -> None:
     dense = make_groundtruth(17, 400)
     seconds = np.round(dense.seconds - dense.seconds[0], 6)
     result = evaluate(dense[seconds % 2.0 <= 0.3], make_estimate(dense, 18), BASE)
-    [said] = [remark.text for remark in result.remarks if remark.code == "low_coverage"]
-    assert "--association groundtruth-stamps or a larger --max-gap" in said
+    [text] = [remark.text for remark in result.remarks if remark.code == "low_coverage"]
+    assert "--association groundtruth-stamps or a larger --max-gap" in text
     [few] = [
         remark.text
         for remark in evaluate(dense[:200], make_estimate(dense, 18), BASE).remarks
@@ -276,10 +276,10 @@ def test_many_states_are_evaluated_at_all_lengths() -> None:
     count = 200_000
     random = np.random.default_rng(21)
     stamps = 1_700_000_000_000_000_000 + np.arange(count, dtype=np.int64) * 50_000_000
-    turns = np.zeros((count, 3))
-    turns[:, 2] = np.linspace(0.0, 60.0, count)
+    rotations = np.zeros((count, 3))
+    rotations[:, 2] = np.linspace(0.0, 60.0, count)
     positions = np.cumsum(random.normal(scale=0.1, size=(count, 3)), axis=0)
-    groundtruth = Trajectory(stamps, positions, Rotation.from_rotvec(turns).as_quat())
+    groundtruth = Trajectory(stamps, positions, Rotation.from_rotvec(rotations).as_quat())
     estimate = dataclasses.replace(
         groundtruth,
         stamps=stamps + 7_000_000,
@@ -320,7 +320,7 @@ def test_weights_are_by_the_error_of_the_round_before_in_two_rounds(gauge: Gauge
         error_m2 = np.mean(np.sum(apart**2, axis=1))
         weights = 1.0 / (last.scale**2 * traces / 3.0 + error_m2 / 3.0)
         rounds.append(align(gauge, truth.positions, own.positions, weights).similarity)
-    found = evaluation.alignment.similarity.translation
-    assert found == pytest.approx(rounds[2].translation, abs=1e-12)
+    result = evaluation.alignment.similarity.translation
+    assert result == pytest.approx(rounds[2].translation, abs=1e-12)
     for other in (0, 1, 3):
-        assert np.abs(found - rounds[other].translation).max() > 1e-9
+        assert np.abs(result - rounds[other].translation).max() > 1e-9

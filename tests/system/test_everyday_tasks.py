@@ -35,8 +35,8 @@ def result_of(command: str, folder: Path) -> dict[str, object]:
     """Run a command that evaluates, and return its only run."""
     file = folder / "result of the command.json"
     assert main([*shlex.split(command)[1:], "--quiet", "--json", str(file)]) == 0
-    found: dict[str, object] = json.loads(file.read_text())["runs"][0]
-    return found
+    result: dict[str, object] = json.loads(file.read_text())["runs"][0]
+    return result
 
 
 def has(*paths: str) -> Callable[[Path], None]:
@@ -57,14 +57,14 @@ def saved_pairs(folder: Path) -> None:
         read_trajectory(folder / "aligned" / f"{name}.txt") for name in ("vio", "vio_reference")
     )
     np.testing.assert_array_equal(estimate.stamps, reference.stamps)
-    found = trajeval_ros.evaluate(reference, estimate, trajeval_ros.Protocol(gauge="none"))
+    result = trajeval_ros.evaluate(reference, estimate, trajeval_ros.Protocol(gauge="none"))
     expected = trajeval_ros.evaluate(
         read_trajectory(folder / "gt.txt"), read_trajectory(folder / "vio.txt")
     )
-    ours, theirs = found.ate["position_m"], expected.ate["position_m"]
-    assert ours is not None
+    actual, theirs = result.ate["position_m"], expected.ate["position_m"]
+    assert actual is not None
     assert theirs is not None
-    assert ours.rmse == pytest.approx(theirs.rmse, rel=1e-9)
+    assert actual.rmse == pytest.approx(theirs.rmse, rel=1e-9)
 
 
 def merged(folder: Path) -> None:

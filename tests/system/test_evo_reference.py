@@ -38,14 +38,14 @@ def assert_evos(
     protocol = dataclasses.replace(PROTOCOLS["evo"], gauge=GAUGES[flags])
     result = evaluate(groundtruth, estimate, protocol)
     for relation, metric in METRICS.items():
-        wanted = f"evo_ape {command} {flags}-r {relation}"
-        (theirs,) = [item for item in numbers["results"] if item["cmd"] == wanted]
-        ours = result.ate[metric]
-        assert ours is not None
-        assert ours.count == len(result.association) == theirs["n"]
+        required = f"evo_ape {command} {flags}-r {relation}"
+        (theirs,) = [item for item in numbers["results"] if item["cmd"] == required]
+        actual = result.ate[metric]
+        assert actual is not None
+        assert actual.count == len(result.association) == theirs["n"]
         for name in ("rmse", "mean", "median", "std", "min", "max"):
             expected = pytest.approx(theirs["stats"][name], rel=1e-8)
-            assert getattr(ours, name) == expected, (metric, name)
+            assert getattr(actual, name) == expected, (metric, name)
 
 
 @pytest.mark.parametrize("flags", GAUGES)
@@ -75,10 +75,10 @@ def test_of_repeated_stamps_evo_takes_the_last(recording: Recording) -> None:
     groundtruth, estimate = (
         recording(f"hilti_2021/uzh_run2_{name}.txt") for name in ("mocap", "hdl")
     )
-    ours = evaluate(groundtruth, estimate, PROTOCOLS["evo"]).ate["position_m"]
-    assert ours is not None
-    assert ours.count == 893
-    assert ours.rmse == pytest.approx(0.352249, abs=5e-7)
+    actual = evaluate(groundtruth, estimate, PROTOCOLS["evo"]).ate["position_m"]
+    assert actual is not None
+    assert actual.count == 893
+    assert actual.rmse == pytest.approx(0.352249, abs=5e-7)
 
 
 def test_default_warns_of_repeated_stamps_that_conflict(recording: Recording) -> None:

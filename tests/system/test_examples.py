@@ -29,8 +29,8 @@ def test_ranges_in_a_hall_are_those_of_geometry() -> None:
     hall = Hall(low, np.array([[3.0, 1, 1], [5, 5, 5]]))
     slanted = np.array([1.0, 1, 0]) / np.sqrt(2.0)
     rays = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 0, 1], slanted])
-    found = hall.ranges(np.zeros((4, 3)), rays)
-    np.testing.assert_allclose(found, [2.0, 5.0, 5.0, 5.0 * np.sqrt(2.0)], rtol=1e-6)
+    outcome = hall.ranges(np.zeros((4, 3)), rays)
+    np.testing.assert_allclose(outcome, [2.0, 5.0, 5.0, 5.0 * np.sqrt(2.0)], rtol=1e-6)
     # From behind the box, it is not seen.
     assert hall.ranges(np.array([[4.0, 0, 0]]), rays[:1]) == pytest.approx([1.0])
 

@@ -41,18 +41,18 @@ def test_fewer_than_twice_what_the_alignment_needs_are_few(
 ) -> None:
     for count in (enough - 1, enough):
         points, estimate = surveyed(count)
-        found = evaluate(points, estimate, Protocol(lengths=(), **settings))
-        assert len(found.association) == count
-        assert (FEW in verdict(found)[0]) == (count < enough)
-        assert (FEW in found.warnings[0]) == (count < enough)
+        result = evaluate(points, estimate, Protocol(lengths=(), **settings))
+        assert len(result.association) == count
+        assert (FEW in verdict(result)[0]) == (count < enough)
+        assert (FEW in result.warnings[0]) == (count < enough)
 
 
 def test_a_first_state_aligns_by_itself() -> None:
     flight = simulate(seed=2, duration_s=30.0)
     for count in (1, 2):
         few = flight.estimate[100 : 100 + count]
-        found = evaluate(flight.groundtruth, few, Protocol(align_states=1, lengths=()))
-        assert (FEW in verdict(found)[0]) == (count < 2)
+        result = evaluate(flight.groundtruth, few, Protocol(align_states=1, lengths=()))
+        assert (FEW in verdict(result)[0]) == (count < 2)
     assert (
         "1 pair, too few"
         in verdict(
@@ -95,7 +95,7 @@ def test_tables_mark_what_is_from_few_pairs_and_do_not_rank_it(tmp_path: Path) -
 def test_surveyed_points_of_a_campus(recording: Callable[[str], Trajectory]) -> None:
     points, estimate = (recording(f"hilti_2021/Campus_2_{name}.txt") for name in ("prism", "svo2"))
     assert len(evaluate(points, estimate, Protocol(lengths=())).association) == 19
-    found = evaluate(points, estimate, Protocol(lengths=(), association="linear"))
-    assert len(found.association) == 3
-    assert FEW in verdict(found)[0]
-    assert "19 states, 18.7 s apart" in found.warnings[0]
+    result = evaluate(points, estimate, Protocol(lengths=(), association="linear"))
+    assert len(result.association) == 3
+    assert FEW in verdict(result)[0]
+    assert "19 states, 18.7 s apart" in result.warnings[0]

@@ -41,9 +41,9 @@ def refused(command: list[str]) -> str:
         check=False,
     )
     assert done.returncode == 2, done.stderr
-    said = done.stderr.splitlines(keepends=True)
-    assert len([line for line in said if not line.startswith("note: ")]) == 1, done.stderr
-    return said[-1]
+    text = done.stderr.splitlines(keepends=True)
+    assert len([line for line in text if not line.startswith("note: ")]) == 1, done.stderr
+    return text[-1]
 
 
 def fill(disk: Path, left: int) -> None:
@@ -103,20 +103,20 @@ def test_a_live_run(disk: Path) -> None:
     live.feed(messages(9))
     live.end()
     fill(disk, 4096)
-    said = refused(["finish", str(run), "--output", str(run), "--quiet"])
-    assert said == f"trajeval: the folder {run} {FULL}"
+    text = refused(["finish", str(run), "--output", str(run), "--quiet"])
+    assert text == f"trajeval: the folder {run} {FULL}"
     assert names(run) == ["groundtruth.states", "vio.states"]
 
 
 @pytest.mark.slow
 def test_a_simulation_and_a_comparison(disk: Path, tmp_path: Path) -> None:
     bag = disk / "flight"
-    said = refused(["simulate", str(bag), "--duration", "20"])
-    assert said.lower() == f"trajeval: {bag} {FULL}"
+    text = refused(["simulate", str(bag), "--duration", "20"])
+    assert text.lower() == f"trajeval: {bag} {FULL}"
     assert not names(disk)
     out = disk / "out"
     config = str(write_runs(tmp_path / "runs"))
-    said = refused(["compare", config, "--workers", "1", "--quiet", "--output", str(out)])
-    assert said.startswith(f"trajeval: {out}/")
-    assert said.endswith(FULL)
+    text = refused(["compare", config, "--workers", "1", "--quiet", "--output", str(out)])
+    assert text.startswith(f"trajeval: {out}/")
+    assert text.endswith(FULL)
     assert not [path for path in out.rglob("*") if path.name.startswith(".")]

@@ -127,5 +127,5 @@ def test_the_command_works_as_it_is_printed(way: str, tmp_path: Path) -> None:
     command = run(f'{python} -c "{code}"', tmp_path, **offline)
     assert command == f"{python} -m pip install 'trajeval-ros[plot]'"
     run(command, tmp_path, **offline)
-    found = run(f"{python} -c 'import matplotlib; print(matplotlib.__version__)'", tmp_path)
-    assert found == "99.0"
+    result = run(f"{python} -c 'import matplotlib; print(matplotlib.__version__)'", tmp_path)
+    assert result == "99.0"

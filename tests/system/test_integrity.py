@@ -42,8 +42,8 @@ def test_a_level_in_one_dimension_is_a_two_sided_gaussian() -> None:
 def test_a_level_bounds_the_quantile_whatever_the_axes(
     risk: float, ratio: float, angle: float
 ) -> None:
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    covariance = turn @ np.diag([1.0, ratio]) @ turn.T
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    covariance = rotation @ np.diag([1.0, ratio]) @ rotation.T
     (level,) = protection_levels(covariance[None], risk)
     assert level == pytest.approx(np.sqrt(chi2.isf(risk, 2)))
 

@@ -31,8 +31,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
 
 @pytest.fixture(scope="module")
 def panels() -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(FOXGLOVE.read_text())["configById"]
-    return found
+    result: dict[str, Any] = json.loads(FOXGLOVE.read_text())["configById"]
+    return result
 
 
 def number_at(message: Any, fields: list[str]) -> float:

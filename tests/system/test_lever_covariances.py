@@ -42,9 +42,9 @@ def rows_of(estimate: Trajectory) -> Floats:
 
 def moved(frame: str, quaternion: Floats, errors: Floats) -> Floats:
     """Return how errors (N, 6) of a body's pose move a marker's position, and turn it: (N, 6)."""
-    turn = lie.from_rotation_vector(errors[:, 3:])
-    q = np.broadcast_to(quaternion, turn.shape)
-    wrong = lie.multiply(turn, q) if frame == "world" else lie.multiply(q, turn)
+    rotation = lie.from_rotation_vector(errors[:, 3:])
+    q = np.broadcast_to(quaternion, rotation.shape)
+    wrong = lie.multiply(rotation, q) if frame == "world" else lie.multiply(q, rotation)
     shift = lie.rotate(wrong, LEVER_M) - lie.rotate(q, LEVER_M)
     return np.hstack([errors[:, :3] + shift, errors[:, 3:]])
 
@@ -55,20 +55,20 @@ def test_a_lever_arm_couples_position_and_rotation(frame: str) -> None:
     _, estimate = sides(1)
     assert estimate.covariances is not None
     assert estimate.quaternions is not None
-    found = at_marker(estimate, MOUNTED, frame).covariances
-    assert found is not None
+    result = at_marker(estimate, MOUNTED, frame).covariances
+    assert result is not None
     random, step = np.random.default_rng(0), 1e-6
     for row in (0, 30, 60):
         q, covariance = estimate.quaternions[row], estimate.covariances[row]
         ends = moved(frame, q, step * np.eye(6)), moved(frame, q, -step * np.eye(6))
         derivative = (ends[0] - ends[1]).T / (2.0 * step)
         expected = derivative @ covariance @ derivative.T
-        np.testing.assert_allclose(found[row], expected, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(result[row], expected, rtol=1e-7, atol=1e-9)
         small = 1e-2  # of the standard deviations, which are of radians
         drawn = small * random.multivariate_normal(np.zeros(6), covariance, 100_000)
         spread = np.cov(moved(frame, q, drawn).T) / small**2
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-        assert np.abs((spread - found[row]) / scale).max() < 0.02
+        assert np.abs((spread - result[row]) / scale).max() < 0.02
 
 
 def test_bodies_axes_know_no_up() -> None:
@@ -79,10 +79,10 @@ def test_bodies_axes_know_no_up() -> None:
     protocol = Protocol(gauge="yaw", lengths=())
     means = []
     for pair in ((truth, estimate), other):
-        [found] = run(pair[0], pair[1:], Request(protocol, covariances=IN_BODY)).runs
-        assert found.consistency is not None
-        assert found.consistency.per_pose is not None
-        means.append(found.consistency.per_pose.mean)
+        [result] = run(pair[0], pair[1:], Request(protocol, covariances=IN_BODY)).runs
+        assert result.consistency is not None
+        assert result.consistency.per_pose is not None
+        means.append(result.consistency.per_pose.mean)
     assert means[0] == pytest.approx(means[1], rel=1e-9)
     settings = OnlineSettings(protocol, covariances=IN_BODY, up=("-y", "-y"))
     live = OnlineEvaluator(settings)
@@ -102,9 +102,9 @@ def of_world(flight: Trajectory, up: UpAxis) -> Trajectory:
     assert flight.quaternions is not None
     covariances = flight.covariances
     if covariances is not None:
-        turn = np.eye(6)
-        turn[:3, :3] = back
-        covariances = turn @ covariances @ turn.T
+        rotation = np.eye(6)
+        rotation[:3, :3] = back
+        covariances = rotation @ covariances @ rotation.T
     return dataclasses.replace(
         flight,
         positions=flight.positions @ back.T,
@@ -149,11 +149,11 @@ def marked(seed: int, count: int) -> tuple[Trajectory, Trajectory]:
     )
     marker = of_marker(body)
     assert marker.quaternions is not None
-    turns = lie.from_rotation_vector(np.radians(NOISE[1]) * random.normal(size=(count, 3)))
+    rotations = lie.from_rotation_vector(np.radians(NOISE[1]) * random.normal(size=(count, 3)))
     noisy = dataclasses.replace(
         marker,
         positions=marker.positions + NOISE[0] * random.normal(size=(count, 3)),
-        quaternions=lie.multiply(turns, marker.quaternions),
+        quaternions=lie.multiply(rotations, marker.quaternions),
     )
     small = np.diag([1e-5**2] * 3 + [1e-5**2] * 3)
     return noisy, dataclasses.replace(
@@ -165,24 +165,24 @@ def judged(sides: tuple[Trajectory, Trajectory], request: CovarianceRequest) -> 
     calibration = CalibrationRequest(known=MOUNTED)
     protocol = Protocol(gauge="none", lengths=())
     request_ = Request(protocol, covariances=request, calibration=calibration)
-    [found] = run(sides[0], sides[1:], request_).runs
-    assert found.consistency is not None
-    return found.consistency
+    [result] = run(sides[0], sides[1:], request_).runs
+    assert result.consistency is not None
+    return result.consistency
 
 
 def test_noise_of_the_marker_s_rotation_moves_the_body() -> None:
     count = 20_000
-    found = judged(marked(5, count), CovarianceRequest("message", groundtruth_noise=NOISE))
-    assert found.per_pose is not None
+    result = judged(marked(5, count), CovarianceRequest("message", groundtruth_noise=NOISE))
+    assert result.per_pose is not None
     # NEES of N independent poses is chi-square with 6 N degrees of freedom: five deviations.
-    assert found.per_pose.mean == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (6 * count)))
-    assert found.covariances is not None
-    assert found.errors is not None
-    spread = np.cov(found.errors[:, :3].T).trace()
+    assert result.per_pose.mean == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (6 * count)))
+    assert result.covariances is not None
+    assert result.errors is not None
+    spread = np.cov(result.errors[:, :3].T).trace()
     variance = 3.0 * NOISE[0] ** 2 + 2.0 * np.radians(NOISE[1]) ** 2 * LEVER_M @ LEVER_M
     assert spread == pytest.approx(variance, rel=0.03)
     np.testing.assert_allclose(
-        found.covariances[:, :3, :3].trace(axis1=1, axis2=2),
+        result.covariances[:, :3, :3].trace(axis1=1, axis2=2),
         variance + 3e-10 * np.linspace(1.0, 1.001, count),
         rtol=1e-12,
     )
@@ -202,10 +202,10 @@ def test_the_joint_nees_of_independent_poses_is_the_sum_of_theirs(kind: str) -> 
         estimate.stamps, estimate.positions, estimate.quaternions, 6, **{kind: known[kind]}
     )
     request = CovarianceRequest("joint", joint, "joint.npz", groundtruth_noise=NOISE)
-    found = judged(sides, request)
-    assert found.joint is not None
+    result = judged(sides, request)
+    assert result.joint is not None
     assert single.per_pose is not None
-    assert found.joint.nees == pytest.approx(size * single.per_pose.mean, rel=1e-6)
+    assert result.joint.nees == pytest.approx(size * single.per_pose.mean, rel=1e-6)
 
 
 def test_finish_and_the_node_take_the_noise_at_the_marker(tmp_path: Path) -> None:
@@ -225,6 +225,6 @@ def test_finish_and_the_node_take_the_noise_at_the_marker(tmp_path: Path) -> Non
     for options in ((), ("--covariance", "message", "--groundtruth-noise", "0.002,0.5")):
         again = tmp_path / "again.json"
         assert live.finish(*options, "--json", str(again)) == 0
-        [found] = json.loads(again.read_text())["runs"]
-        mean = found["consistency"]["per_pose"]["mean"]
+        [result] = json.loads(again.read_text())["runs"]
+        mean = result["consistency"]["per_pose"]["mean"]
         assert mean == pytest.approx(expected.per_pose.mean, rel=1e-9)

@@ -210,47 +210,47 @@ def test_there_is_a_catalogue() -> None:
 @pytest.mark.parametrize("avoided", AVOIDED)
 def test_words_to_avoid(avoided: str) -> None:
     pattern = re.compile(avoided, re.IGNORECASE)
-    found = [
+    result = [
         f"{item}  <- write: {AVOIDED[avoided]}"
         for item in catalogue()
         if pattern.search(item.text)
     ]
-    assert not found, listed(found)
+    assert not result, listed(result)
 
 
 def test_sentences_are_short() -> None:
-    found = [
+    result = [
         f"{len(sentence.split())} words: {item}"
         for item in catalogue()
         for sentence in sentences(item.text)
         if len(sentence.split()) > MOST_WORDS
     ]
-    assert not found, listed(found)
+    assert not result, listed(result)
 
 
 def test_errors_are_short() -> None:
-    found = [
+    result = [
         f"{len(plain)} characters: {item}"
         for item in raised()
         if len(plain := item.text.replace(HOLE, "")) > LONGEST_ERROR
     ]
-    assert not found, listed(found)
+    assert not result, listed(result)
 
 
 def test_errors_are_one_sentence_without_a_stop() -> None:
-    found = [str(item) for item in raised() if re.search(r"[.?!]$|\?|!$|[^.]\. [A-Z]", item.text)]
-    assert not found, listed(found)
+    result = [str(item) for item in raised() if re.search(r"[.?!]$|\?|!$|[^.]\. [A-Z]", item.text)]
+    assert not result, listed(result)
 
 
 def test_errors_start_small() -> None:
     """A message follows a name or the program's: only names and options start otherwise."""
-    found = [
+    result = [
         str(item)
         for item in raised()
         if re.match(r"[A-Z][a-z]", item.text)
         and not re.match(r"(Rerun|Dask|La[Tt]e[Xx])", item.text)
     ]
-    assert not found, listed(found)
+    assert not result, listed(result)
 
 
 def test_examples_of_the_style_guide_are_messages_of_the_program() -> None:
@@ -273,8 +273,8 @@ def test_examples_of_the_style_guide_are_messages_of_the_program() -> None:
 
 
 def test_numbers_and_nouns_agree() -> None:
-    found = [str(item) for item in catalogue() if item.number]
-    assert not found, listed(found)
+    result = [str(item) for item in catalogue() if item.number]
+    assert not result, listed(result)
 
 
 @pytest.mark.parametrize("name", VERBS)
@@ -288,11 +288,11 @@ def test_help_of_commands(name: str) -> None:
             for sentence in sentences(paragraph):
                 assert len(sentence.split()) <= MOST_WORDS, sentence
     for parameter in command.params:
-        said = getattr(parameter, "help", None)
-        if said and parameter.name not in ("help", "install_completion", "show_completion"):
-            assert re.match(r"[A-Z][A-Za-z0-9-]*[ ,.:;]", said), said
-            assert said.endswith("."), said
-            assert not re.search(r"\beach\b|\bso many\b|\bthose\b|\bbegin\b", said), said
+        text = getattr(parameter, "help", None)
+        if text and parameter.name not in ("help", "install_completion", "show_completion"):
+            assert re.match(r"[A-Z][A-Za-z0-9-]*[ ,.:;]", text), text
+            assert text.endswith("."), text
+            assert not re.search(r"\beach\b|\bso many\b|\bthose\b|\bbegin\b", text), text
 
 
 @pytest.mark.parametrize(

@@ -194,12 +194,12 @@ def test_a_live_run_with_a_marker_is_evaluated_as_a_recorded_one(
     estimate = dataclasses.replace(pair.groundtruth, positions=1.001 * truth.positions)
     quaternions = truth.quaternions
     assert quaternions is not None
-    turn = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
-    marker = HandEye(turn, np.array([0.1, -0.05, 0.2]))
+    rotation = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    marker = HandEye(rotation, np.array([0.1, -0.05, 0.2]))
     moved = dataclasses.replace(
         truth,
         positions=truth.positions + lie.rotate(quaternions, marker.lever_m),
-        quaternions=lie.multiply(quaternions, turn),
+        quaternions=lie.multiply(quaternions, rotation),
     )
     feed = [*messages_of(moved, GROUNDTRUTH, POSE), *messages_of(estimate, ESTIMATE, ODOM)]
     feed.sort(key=lambda item: item[2])

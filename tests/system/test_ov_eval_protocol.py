@@ -51,9 +51,9 @@ def by_definition(groundtruth: Trajectory, estimate: Trajectory) -> tuple[np.nda
     assert estimate.rotations is not None
     p, q = truth - truth.mean(axis=0), other - other.mean(axis=0)
     yaw = np.arctan2(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p[:, :2] * q[:, :2]))
-    turn = Rotation.from_euler("z", yaw)
-    positions = turn.apply(p) + other.mean(axis=0)
-    rotations = turn * groundtruth.rotations[rows]
+    rotation = Rotation.from_euler("z", yaw)
+    positions = rotation.apply(p) + other.mean(axis=0)
+    rotations = rotation * groundtruth.rotations[rows]
     assert estimate.covariances is not None
     orientation, position = [], []
     for place in range(len(estimate)):
@@ -74,17 +74,17 @@ def judged(
 
 
 def test_nees_of_orientations_and_positions(flight: tuple[Trajectory, Trajectory]) -> None:
-    found = judged(flight, OURS)
+    result = judged(flight, OURS)
     orientation, position = by_definition(*flight)
-    assert found.pose_nees is not None
-    assert found.per_pose is not None
-    np.testing.assert_allclose(3.0 * found.pose_nees.rotation, orientation, rtol=1e-9)
-    np.testing.assert_allclose(3.0 * found.pose_nees.position, position, rtol=1e-9)
-    assert 3.0 * found.per_pose.rotation.mean == pytest.approx(orientation.mean(), rel=1e-9)
-    assert 3.0 * found.per_pose.position.max == pytest.approx(position.max(), rel=1e-9)
-    assert (found.exactness, found.verdict) == ("as published", "undecided")
+    assert result.pose_nees is not None
+    assert result.per_pose is not None
+    np.testing.assert_allclose(3.0 * result.pose_nees.rotation, orientation, rtol=1e-9)
+    np.testing.assert_allclose(3.0 * result.pose_nees.position, position, rtol=1e-9)
+    assert 3.0 * result.per_pose.rotation.mean == pytest.approx(orientation.mean(), rel=1e-9)
+    assert 3.0 * result.per_pose.position.max == pytest.approx(position.max(), rel=1e-9)
+    assert (result.exactness, result.verdict) == ("as published", "undecided")
     # What 95 % of honest runs do can't be said of covariances in another gauge.
-    assert found.per_pose.limit_95 is None
+    assert result.per_pose.limit_95 is None
 
 
 def test_it_is_not_the_nees_of_the_alignments_gauge(

@@ -52,8 +52,8 @@ def test_a_sentence_is_counted_as_a_reader_would() -> None:
         "It ends, e.g. here.\n\n| a | table |\n\n* An item\n  of six words in all\n\n"
         "```console\n$ no prose.\n```\n"
     )
-    found = sentences(text)
-    assert [length(item) for item in found] == [8, 4, 7]
+    result = sentences(text)
+    assert [length(item) for item in result] == [8, 4, 7]
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -155,7 +155,7 @@ def test_an_output_belongs_to_the_commands_before_it() -> None:
 
 
 def test_reasons_are_of_commands_that_stand_somewhere() -> None:
-    typed = [item for found in TYPED.values() for item in found]
+    typed = [item for result in TYPED.values() for item in result]
     assert not [begin for begin in NOT_RUN if not any(item.startswith(begin) for item in typed)]
 
 
@@ -185,5 +185,5 @@ def test_commands_run_as_they_stand(name: str, files: Path, tmp_path: Path) -> N
         allowed = next((item for word, item in STATUS.items() if word in command), (0,))
         printed[command] = typed(command, folder, environment, allowed)
     for shown_after, lines in outputs(PAGES[name]):
-        found = "".join(printed.get(command, "") for command in shown_after)
-        assert not found or not [line for line in lines if line not in found], found
+        result = "".join(printed.get(command, "") for command in shown_after)
+        assert not result or not [line for line in lines if line not in result], result

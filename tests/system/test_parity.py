@@ -60,8 +60,8 @@ def test_the_command_gives_these_numbers(pair: str, tmp_path: Path) -> None:
         result = tmp_path / "result.json"
         assert main([*setting.words(pair, tmp_path), "--quiet", f"--json={result}"]) == 0
         (run,) = json.loads(result.read_text(encoding="utf-8"))["runs"]
-        for metric, ours in parity.evaluated(pair, setting).ate.items():
-            assert run["ate"][metric] == (None if ours is None else dataclasses.asdict(ours))
+        for metric, actual in parity.evaluated(pair, setting).ate.items():
+            assert run["ate"][metric] == (None if actual is None else dataclasses.asdict(actual))
 
 
 @pytest.mark.parametrize("name", parity.REFERENCES["files_sha256"])
@@ -111,9 +111,9 @@ def test_rotations_that_positions_hardly_determine_are_the_programs_with_a_warni
     evaluation = parity.evaluated("straight_flat", setting)
     assert evaluation.alignment.undetermined
     assert evaluation.ate["rotation_deg"] is not None
-    ours = dataclasses.replace(evaluation.protocol, name="ours")
+    actual = dataclasses.replace(evaluation.protocol, name="ours")
     withheld = evaluate_pairs(
-        evaluation.association, evaluation.groundtruth, evaluation.estimate, ours
+        evaluation.association, evaluation.groundtruth, evaluation.estimate, actual
     )
     assert withheld.ate["rotation_deg"] is None
 
@@ -122,8 +122,8 @@ def test_fewer_than_two_sub_trajectories_are_no_zeros() -> None:
     too_few = [row for row in ROWS if row.unanswered == parity_calls.TOO_FEW]
     assert too_few
     for row in too_few:
-        ours = row.ours()
-        assert ours is None or (ours.count == 1 and ours.rmse > 0.0), str(row)
+        actual = row.ours()
+        assert actual is None or (actual.count == 1 and actual.rmse > 0.0), str(row)
 
 
 def test_where_evo_finds_no_match_there_is_none() -> None:

@@ -51,14 +51,14 @@ def states(stamps: Floats, columns: Floats, covariances: Floats | None = None) -
 def simulated(name: str) -> list[tuple[Trajectory, Trajectory]]:
     """Return groundtruth and estimate of all seeds."""
     file = np.load(DATA / "openvins_simulation" / f"{name}.npz")
-    found = []
+    result = []
     for columns, upper in zip(file["estimate"], file["covariance"].astype(float), strict=True):
         full = np.zeros((len(upper), 6, 6))
         full[:, UPPER[0], UPPER[1]] = upper
         full += np.swapaxes(np.triu(full, 1), 1, 2)
         stamps = file["stamps_ns"]
-        found.append((states(stamps, file["truth"]), states(stamps, columns, full)))
-    return found
+        result.append((states(stamps, file["truth"]), states(stamps, columns, full)))
+    return result
 
 
 def outcome(
@@ -81,12 +81,12 @@ def test_nees_orders_first_estimates(cameras: str) -> None:
     values = {}
     for kind in ("on", "off"):
         name = f"{cameras}_fej_{kind}"
-        found = [outcome(*pair, "none") for pair in simulated(name)]
-        values[kind] = np.array([mean_nees(item) for item in found])
+        result = [outcome(*pair, "none") for pair in simulated(name)]
+        values[kind] = np.array([mean_nees(item) for item in result])
         np.testing.assert_allclose(values[kind], NEES[name], rtol=5e-3)
         diverged = [
             any(cause.cause.startswith("diverged") for cause in item.diagnosis.findings)
-            for item in found
+            for item in result
         ]
         assert diverged == [value > 1000.0 for value in NEES[name]]
         by_yaw = outcome(*simulated(name)[1], "yaw").evaluation
@@ -113,23 +113,23 @@ def test_real_tracks(name: str, by_yaw_m: float, in_frame_m: float | None) -> No
         if expected is None:
             continue
         request = Request(Protocol(gauge=gauge, lengths=()))
-        found = run(groundtruth, [estimate], request).runs[0].evaluation
-        position = found.ate["position_m"]
+        result = run(groundtruth, [estimate], request).runs[0].evaluation
+        position = result.ate["position_m"]
         assert position is not None
         assert position.rmse == pytest.approx(expected, rel=0.01)
         # The recording is longer than the run, and nothing was lost within it.
-        assert not any("cover" in warning for warning in found.warnings)
-        assert [remark.code for remark in found.remarks].count("low_coverage") == 1
+        assert not any("cover" in warning for warning in result.warnings)
+        assert [remark.code for remark in result.remarks].count("low_coverage") == 1
         # 1.4 m of path determine yaw to 1 deg.
-        assert ("standard deviation of its yaw" in definitions(found)[0]) == (gauge == "yaw")
+        assert ("standard deviation of its yaw" in definitions(result)[0]) == (gauge == "yaw")
 
 
 def test_nees_with_the_noise_of_the_groundtruth() -> None:
     groundtruth = read_trajectory(TRACKS / "groundtruth_V1_01_openvins.csv")
     for name, expected in (("openvins_fej_on.csv", 0.090), ("gtsam.csv", 0.096)):
         estimate = read_trajectory(DATA / "v1_01" / name)
-        found = mean_nees(outcome(groundtruth, estimate, "none", noise=True))
-        assert found == pytest.approx(expected, rel=0.05)
+        result = mean_nees(outcome(groundtruth, estimate, "none", noise=True))
+        assert result == pytest.approx(expected, rel=0.05)
 
 
 def said_of(folder: str, capsys: pytest.CaptureFixture[str], *options: str) -> str:
@@ -143,11 +143,11 @@ def said_of(folder: str, capsys: pytest.CaptureFixture[str], *options: str) -> s
 
 
 def test_overload_is_lost_tracking(capsys: pytest.CaptureFixture[str]) -> None:
-    said = said_of("overload", capsys)
+    text = said_of("overload", capsys)
     for word in ("keyframe", "square degrees", "restart"):
-        assert word not in said
-    assert said.count("diagnosis: the estimate diverges from") == 2
-    assert "note: small_gicp_odometry: the estimate diverges from 22.8 s on for 14.8 s" in said
+        assert word not in text
+    assert text.count("diagnosis: the estimate diverges from") == 2
+    assert "note: small_gicp_odometry: the estimate diverges from 22.8 s on for 14.8 s" in text
 
 
 @pytest.mark.slow
@@ -164,7 +164,7 @@ def test_overload_is_lateness_live(folder: str, estimator: str, tmp_path: Path) 
     """The messages arrive at their log times, and the status is read every second."""
     names = {"/groundtruth/pose": GROUNDTRUTH, f"/{estimator}/odometry": ESTIMATE}
     live = Live(tmp_path / "live", ODOM, gauge="se3")
-    said: dict[str, str] = {}
+    text: dict[str, str] = {}
     limits = dict.fromkeys(
         (
             "coverage",
@@ -186,26 +186,26 @@ def test_overload_is_lateness_live(folder: str, estimator: str, tmp_path: Path) 
             )
             if count % 10 == 0:
                 [estimate] = live.run.estimates
-                found = remarks_about(live.run, estimate, estimate.snapshot(), {}, limits)
-                said.update({item.code: item.text for item in found})
+                result = remarks_about(live.run, estimate, estimate.snapshot(), {}, limits)
+                text.update({item.code: item.text for item in result})
     live.end()
-    said.update({remark["code"]: remark["text"] for remark in live.result["runs"][0]["remarks"]})
+    text.update({remark["code"]: remark["text"] for remark in live.result["runs"][0]["remarks"]})
     for word in ("keyframe", "square degrees", "restart", "clock"):
-        assert word not in " ".join(said.values())
-    assert ("late" in said) == (folder == "overload")
+        assert word not in " ".join(text.values())
+    assert ("late" in text) == (folder == "overload")
     # The live numbers leave poses out that are too late; the result has all.
-    assert ("later than the groundtruth buffer" in said.get("delay", "")) == (folder == "overload")
+    assert ("later than the groundtruth buffer" in text.get("delay", "")) == (folder == "overload")
 
 
 def test_a_good_run_has_no_finding(capsys: pytest.CaptureFixture[str]) -> None:
-    said = said_of("real_time", capsys)
-    assert "diagnosis:" not in said
-    assert "warning:" not in said
+    text = said_of("real_time", capsys)
+    assert "diagnosis:" not in text
+    assert "warning:" not in text
 
 
 def test_clocks_of_parts_within_the_stated_interval(capsys: pytest.CaptureFixture[str]) -> None:
-    said = said_of("lockstep", capsys, "--time-offset", "auto")
-    assert "different clock offsets" not in said
+    text = said_of("lockstep", capsys, "--time-offset", "auto")
+    assert "different clock offsets" not in text
 
 
 def test_constant_covariances_are_a_placeholder(capsys: pytest.CaptureFixture[str]) -> None:

@@ -80,8 +80,8 @@ def test_what_is_saved_is_read_back_to_the_bit(way: tuple[str, str], seed: int) 
             np.testing.assert_array_equal(getattr(read, column), getattr(trajectory, column))
         assert read.rotations is not None
         assert trajectory.rotations is not None
-        turned = (read.rotations * trajectory.rotations.inv()).magnitude()
-        assert turned.max() <= SAME_ROTATION_RAD
+        rotated = (read.rotations * trajectory.rotations.inv()).magnitude()
+        assert rotated.max() <= SAME_ROTATION_RAD
 
 
 @given(seed=seeds)

@@ -35,9 +35,9 @@ def test_lamaria_s_knots(error_m: float, points: float) -> None:
 
 @given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=20), st.integers(0, 5))
 def test_recall_counts_what_is_missing(errors: list[float], missing: int) -> None:
-    found = RecallRule((1.0, 5.0)).recall(np.array(errors), len(errors) + missing)
+    result = RecallRule((1.0, 5.0)).recall(np.array(errors), len(errors) + missing)
     expected = [100 * sum(e <= b for e in errors) / (len(errors) + missing) for b in (1.0, 5.0)]
-    assert found.percent == pytest.approx(expected)
+    assert result.percent == pytest.approx(expected)
 
 
 @given(st.lists(st.floats(0.0, 2.0), min_size=1, max_size=20))
@@ -60,21 +60,21 @@ def test_known_scores(
         (f"{name}/first_half/interpolate_0.5/se3", whole[: len(whole) // 2]),
     ):
         known = reference("gnss")["hilti_2021"][key]
-        found = evaluate(
+        result = evaluate(
             points,
             estimate,
             protocol_from("lamaria", gauge="se3", lever_arm=",".join(map(str, PRISM))),
         )
-        assert found.score is not None
-        assert found.score.value == pytest.approx(known["score"]["lamaria_2d"], rel=1e-9)
-        assert found.recall is not None
+        assert result.score is not None
+        assert result.score.value == pytest.approx(known["score"]["lamaria_2d"], rel=1e-9)
+        assert result.recall is not None
         expected = [known["recall_percent"][item]["2d"] for item in ("1m", "5m")]
-        assert found.recall.percent == pytest.approx(expected)
-        steps = hilti.score(found.absolute.position_m, len(points))
+        assert result.recall.percent == pytest.approx(expected)
+        steps = hilti.score(result.absolute.position_m, len(points))
         assert steps.value == pytest.approx(known["score"]["hilti-2022"])
         finer = PROTOCOLS["hilti-2023"].score
         assert finer is not None
-        steps = finer.score(found.absolute.position_m, len(points))
+        steps = finer.score(result.absolute.position_m, len(points))
         assert steps.value == pytest.approx(known["score"]["hilti-2023"])
 
 
@@ -95,9 +95,9 @@ def test_a_file_has_knots_and_recall(tmp_path: Path, capsys: pytest.CaptureFixtu
     (tmp_path / "x.txt").write_text("\n".join(other))
     files = ["-g", str(tmp_path / "points.txt"), "-e", str(tmp_path / "x.txt")]
     assert main(["evaluate", *files, "--protocol", str(file)]) == 0
-    said = capsys.readouterr().out
-    assert "recall of all points (level): 100 % within 0.5 m" in said
-    assert "of 100 for 39 points" in said
+    text = capsys.readouterr().out
+    assert "recall of all points (level): 100 % within 0.5 m" in text
+    assert "of 100 for 39 points" in text
 
 
 @pytest.mark.parametrize(

@@ -68,8 +68,8 @@ def test_flies_as_a_quadrotor_does(seed: int) -> None:
     course = np.arctan2(truth.velocities[:, 1], truth.velocities[:, 0])
     nose = np.arctan2(body[:, 1, 0], body[:, 0, 0])
     assert np.cos(course - nose).min() > 0.9
-    turn = (truth.rotations[:-1].inv() * truth.rotations[1:]).magnitude()
-    assert np.degrees(turn.max()) < 3.0
+    rotation = (truth.rotations[:-1].inv() * truth.rotations[1:]).magnitude()
+    assert np.degrees(rotation.max()) < 3.0
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -64,8 +64,8 @@ def test_the_reference_has_every_parameter_topic_and_service(site: Any) -> None:
 
 
 def test_the_reference_names_the_public_names_at_their_homes(site: Any) -> None:
-    found = re.findall(r"^::: trajeval_ros\.([\w.]+)\.(\w+)$", site("reference").names(), re.M)
-    assert {name: home for home, name in found} == trajeval_ros._HOMES
+    result = re.findall(r"^::: trajeval_ros\.([\w.]+)\.(\w+)$", site("reference").names(), re.M)
+    assert {name: home for home, name in result} == trajeval_ros._HOMES
 
 
 def test_commands_of_the_gallery_exist(site: Any) -> None:

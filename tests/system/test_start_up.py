@@ -112,15 +112,15 @@ def _threads(arguments: list[str], **variables: str) -> str:
 
 
 def test_programs_take_one_thread_of_linear_algebra() -> None:
-    said = _threads(["info", "nowhere"])
-    assert "'OPENBLAS_NUM_THREADS': '1'" in said
-    assert "'OMP_NUM_THREADS': '1'" in said
+    text = _threads(["info", "nowhere"])
+    assert "'OPENBLAS_NUM_THREADS': '1'" in text
+    assert "'OMP_NUM_THREADS': '1'" in text
 
 
 def test_the_users_number_of_threads_stays() -> None:
     assert _threads(["info", "nowhere"], OMP_NUM_THREADS="3") == "{'OMP_NUM_THREADS': '3'}"
-    said = _threads(["info", "nowhere"], OPENBLAS_NUM_THREADS="5")
-    assert "'OPENBLAS_NUM_THREADS': '5'" in said
+    text = _threads(["info", "nowhere"], OPENBLAS_NUM_THREADS="5")
+    assert "'OPENBLAS_NUM_THREADS': '5'" in text
 
 
 @pytest.mark.slow
@@ -131,8 +131,8 @@ def test_an_evaluation_imports_nothing_that_writes_folders_tables_or_styles(
     truth = write_tum(tmp_path / "truth.txt", pair.groundtruth)
     estimate = write_tum(tmp_path / "estimate.txt", pair.estimate)
     arguments = ["evaluate", str(truth), str(estimate), "--gauge", "se3", "--json", "-"]
-    said, loaded = _loaded(MAIN.format(arguments=arguments))
-    assert '"position_m"' in said
+    text, loaded = _loaded(MAIN.format(arguments=arguments))
+    assert '"position_m"' in text
     _, libraries = _loaded("import numpy, click")  # older ones import more
     unwanted = {
         "rich",
@@ -157,15 +157,15 @@ def test_an_evaluation_imports_nothing_that_writes_folders_tables_or_styles(
         )
     }
     assert not loaded & unwanted, sorted(loaded & unwanted)
-    said, loaded = _loaded(MAIN.format(arguments=arguments[:-2]))  # with tables
-    assert "rotation [deg]" in said
+    text, loaded = _loaded(MAIN.format(arguments=arguments[:-2]))  # with tables
+    assert "rotation [deg]" in text
     assert not loaded & ({"rich"} - libraries)
 
 
 def test_imports_are_no_garbage_to_search_and_later_objects_are() -> None:
     code = MAIN.format(arguments=["info", "nowhere"])
-    said, _ = _loaded(f"{code}\nimport gc; print(gc.isenabled(), gc.get_freeze_count() > 10_000)")
-    assert said == "True True\n"
+    text, _ = _loaded(f"{code}\nimport gc; print(gc.isenabled(), gc.get_freeze_count() > 10_000)")
+    assert text == "True True\n"
 
 
 def test_version_is_printed_without_any_library() -> None:
@@ -199,8 +199,8 @@ FILES = {f"trajeval_ros.cli.{file}" for file in VERBS.values() if file != "progr
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VERBS)
 def test_a_verb_imports_none_of_the_others(name: str) -> None:
-    said, loaded = _loaded(MAIN.format(arguments=[*name.split(), "--help"]))
-    assert f"trajeval {name}" in said
+    text, loaded = _loaded(MAIN.format(arguments=[*name.split(), "--help"]))
+    assert f"trajeval {name}" in text
     assert loaded & FILES == FILES & {f"trajeval_ros.cli.{VERBS[name]}"}
 
 
@@ -245,8 +245,8 @@ def test_all_verbs_are_in_the_help_and_imported_before_ctrl_c_could_break_them()
     assert _loaded(code.format(arguments=["info", "nowhere"]))[1] & FILES == {
         "trajeval_ros.cli.info"
     }
-    said, _ = _loaded(MAIN.format(arguments=["--help"]), COLUMNS="200")
-    assert all(f" {name.split()[0]} " in said for name in VERBS)
+    text, _ = _loaded(MAIN.format(arguments=["--help"]), COLUMNS="200")
+    assert all(f" {name.split()[0]} " in text for name in VERBS)
 
 
 @pytest.mark.slow
@@ -256,6 +256,6 @@ def test_completion_of_an_option_imports_one_verb() -> None:
         "COMP_WORDS": "trajeval evaluate --js",
         "COMP_CWORD": "2",
     }
-    said, loaded = _loaded(MAIN.format(arguments=[]), **asked)
-    assert said == "plain,--json\n"
+    text, loaded = _loaded(MAIN.format(arguments=[]), **asked)
+    assert text == "plain,--json\n"
     assert loaded & FILES == {"trajeval_ros.cli.evaluate"}

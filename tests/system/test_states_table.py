@@ -63,12 +63,12 @@ def test_the_command_prints_the_table_and_writes_it(
     result = tmp_path / "result.json"
     words = ["evaluate", *files, "--modality=mono", f"--align-states={LIST}", f"--json={result}"]
     assert main(words) == 0
-    (found,) = json.loads(result.read_text(encoding="utf-8"))["runs"]
-    first, *others = found["by_states"]
+    (outcome,) = json.loads(result.read_text(encoding="utf-8"))["runs"]
+    first, *others = outcome["by_states"]
     assert first["position_m"] is None
     assert "one state does not determine a scale" in first["reason"]
     assert [row["states_used"] for row in others] == [150, 300, 449, 599]
-    assert others[-1]["position_m"] == found["ate"]["position_m"]
+    assert others[-1]["position_m"] == outcome["ate"]["position_m"]
     printed = capsys.readouterr().out
     assert "aligned by 1: one state does not determine a scale" in printed
     for row in others:

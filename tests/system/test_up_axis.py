@@ -109,12 +109,12 @@ def test_errors_are_those_of_the_same_motion_in_a_world_with_z_up(
     # Truly up, whatever the motion is like.
     truth = dataclasses.replace(pair.groundtruth, up=UpAxis("z"))
     expected = all_statistics(evaluate(truth, estimate, protocol))
-    found = all_statistics(
+    result = all_statistics(
         evaluate(standing(truth, truth_axis), standing(estimate, estimate_axis), protocol)
     )
-    assert found.keys() == expected.keys()
+    assert result.keys() == expected.keys()
     for name, statistics in expected.items():
-        mine = found[name]
+        mine = result[name]
         assert (mine is None) == (statistics is None), name
         if mine is not None and statistics is not None:
             assert dataclasses.astuple(mine) == pytest.approx(
@@ -129,9 +129,9 @@ def test_yaw_and_tilt_are_about_the_axis() -> None:
     estimate = dataclasses.replace(truth, quaternions=(lean * truth.rotations).as_quat())
     protocol = Protocol(gauge="none", lengths=())
     for axis in UP_AXES:
-        found = evaluate(standing(truth, axis), standing(estimate, axis), protocol).absolute
-        assert found.yaw_deg == pytest.approx(4.0)
-        assert found.tilt_deg == pytest.approx(0.0, abs=1e-6)
+        result = evaluate(standing(truth, axis), standing(estimate, axis), protocol).absolute
+        assert result.yaw_deg == pytest.approx(4.0)
+        assert result.tilt_deg == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -145,18 +145,18 @@ def test_the_result_aligns_the_files_own_axes(gauge: Gauge, association: str) ->
     protocol = Protocol(gauge=gauge, lengths=(), association=association)
     outcome = run(truth, [its], Request(protocol))
     result = result_of(outcome)
-    [found] = result["runs"]
+    [measured] = result["runs"]
     assert result["groundtruth"]["up"] == {"name": "-y", "origin": "given"}
-    assert found["estimate"]["up"] == {"name": "x", "origin": "given"}
-    turn = Rotation.from_quat(found["alignment"]["rotation_xyzw"])
-    aligned = turn.apply(its.positions) + found["alignment"]["translation_m"]
+    assert measured["estimate"]["up"] == {"name": "x", "origin": "given"}
+    rotation = Rotation.from_quat(measured["alignment"]["rotation_xyzw"])
+    aligned = rotation.apply(its.positions) + measured["alignment"]["translation_m"]
     errors = np.linalg.norm(aligned - truth.positions, axis=1)
     # The continuous groundtruth passes by its samples.
     near = 1e-4 if association == "continuous" else 1e-9
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(
-        found["ate"]["position_m"]["rmse"], rel=near
+        measured["ate"]["position_m"]["rmse"], rel=near
     )
-    assert found["ate"]["tilt_deg"]["rmse"] < 5.0
+    assert measured["ate"]["tilt_deg"]["rmse"] < 5.0
 
 
 @pytest.mark.slow
@@ -165,11 +165,11 @@ def test_other_gauges_keep_every_digit_but_yaw_and_tilt() -> None:
     plain = [dataclasses.replace(item, up=UpAxis("z")) for item in (truth, estimate)]
     for gauge in ("none", "se3", "sim3"):
         protocol = Protocol(gauge=gauge)
-        found, before = evaluate(truth, estimate, protocol), evaluate(*plain, protocol)
-        np.testing.assert_array_equal(found.aligned.positions, before.aligned.positions)
+        result, before = evaluate(truth, estimate, protocol), evaluate(*plain, protocol)
+        np.testing.assert_array_equal(result.aligned.positions, before.aligned.positions)
         assert {name.endswith(OF_VERTICAL) for name in all_statistics(before)} == {True, False}
         for name, statistics in all_statistics(before).items():
-            same = all_statistics(found)[name] == statistics
+            same = all_statistics(result)[name] == statistics
             assert same == (not name.endswith(OF_VERTICAL)), name
 
 
@@ -180,10 +180,10 @@ def test_frames_that_a_gauge_must_not_turn_are_told_apart() -> None:
     assert not any(
         "can't align them" in warning for warning in evaluate(truth, estimate, protocol).warnings
     )
-    said = evaluate(truth, other, protocol).warnings
+    text = evaluate(truth, other, protocol).warnings
     assert any(
         "the vertical axes differ, groundtruth -y (given)" in item and "can't align them" in item
-        for item in said
+        for item in text
     )
 
 
@@ -256,10 +256,10 @@ def test_a_live_run_in_a_plane_can_be_given_another_up_axis(tmp_path: Path) -> N
     live = Live(tmp_path / "live", POSE, gauge="planar")
     live.feed(sorted(both, key=lambda item: item[2]))
     live.end()
-    found = live.result["runs"][0]["ate"]["position_m"]
+    outcome = live.result["runs"][0]["ate"]["position_m"]
     result = tmp_path / "up.json"
     assert live.finish("--up=z", "--json", str(result)) == 0
-    assert json.loads(result.read_text())["runs"][0]["ate"]["position_m"] == found
+    assert json.loads(result.read_text())["runs"][0]["ate"]["position_m"] == outcome
 
 
 # Files, options and pictures.
@@ -273,11 +273,11 @@ def test_matrices_of_kitti_are_of_a_camera(tmp_path: Path) -> None:
     assert read_trajectory(tmp_path / "tum.txt").up == Z_UP
     kitti = [read_trajectory(tmp_path / f"{item}.txt") for item in ("truth", "estimate")]
     protocol = dataclasses.replace(PROTOCOLS["kitti"], lengths=(10.0,))
-    found = all_statistics(evaluate(kitti[0], kitti[1], protocol))
+    result = all_statistics(evaluate(kitti[0], kitti[1], protocol))
     level = dataclasses.replace(protocol, re_form="se3")
     expected = all_statistics(evaluate(car(1), erring(car(1)), level))
     for name in ("yaw_deg", "tilt_deg", "10m: yaw_deg", "10m: tilt_deg"):
-        mine, other = found[name], expected[name]
+        mine, other = result[name], expected[name]
         assert mine is not None
         assert other is not None
         assert mine.rmse == pytest.approx(other.rmse, rel=1e-6)
@@ -291,9 +291,9 @@ def test_the_option_says_what_is_up(tmp_path: Path, capsys: pytest.CaptureFixtur
     status, result = evaluated(tmp_path, "--gauge", "yaw", "--up", "y,z")
     assert status == 0
     assert result["runs"][0]["ate"]["position_m"]["rmse"] < 0.5
-    said = capsys.readouterr()
-    assert "vertical axes: groundtruth z (rotated from y, given), estimate z (given)" in said.out
-    assert "evaluated in a frame with the axes z, x, y" in said.err
+    text = capsys.readouterr()
+    assert "vertical axes: groundtruth z (rotated from y, given), estimate z (given)" in text.out
+    assert "evaluated in a frame with the axes z, x, y" in text.err
     status, result = evaluated(tmp_path)
     assert status == 0
     assert result["runs"][0]["ate"]["yaw_deg"] is None
@@ -327,14 +327,14 @@ def test_pictures_look_down() -> None:
     from trajeval_ros.report.trajectory_figure import side_view, top_view
 
     truth, estimate = standing(car(1), "-y"), standing(erring(car(1)), "-y")
-    found = evaluate(truth, estimate, Protocol(lengths=()))
-    [axes] = top_view([found], ["vio"]).axes
+    result = evaluate(truth, estimate, Protocol(lengths=()))
+    [axes] = top_view([result], ["vio"]).axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "z [m]")
     line = next(item for item in axes.lines if item.get_label() == "groundtruth")
     drawn = np.asarray(line.get_xydata())
     np.testing.assert_allclose(drawn[0], truth.positions[0, [0, 2]])
     np.testing.assert_allclose(np.ptp(drawn, axis=0), np.ptp(truth.positions, axis=0)[[0, 2]])
-    [axes] = side_view([found], ["vio"]).axes
+    [axes] = side_view([result], ["vio"]).axes
     assert axes.get_ylabel() == "-y [m]"
     line = next(item for item in axes.lines if item.get_label() == "groundtruth")
     np.testing.assert_allclose(np.asarray(line.get_xydata())[0, 1], -truth.positions[0, 1])
@@ -351,7 +351,7 @@ def test_rerun_stands_upright(tmp_path: Path) -> None:
     # BACK 6.
     for axis, place, way in (("z", 2, 1), ("-y", 1, 2), ("x", 0, 1)):
         truth, estimate = standing(car(1), axis), standing(erring(car(1)), axis)
-        found = evaluate(truth, estimate, Protocol(lengths=()))
-        write_recording(tmp_path / "run.rrd", [found])
+        result = evaluate(truth, estimate, Protocol(lengths=()))
+        write_recording(tmp_path / "run.rrd", [result])
         _, [view] = Rrd(tmp_path / "run.rrd").rows("world", "ViewCoordinates:xyz")
         assert np.ravel(view)[place] == way

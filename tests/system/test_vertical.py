@@ -108,9 +108,9 @@ def circling(
     angles = np.linspace(-np.pi, np.pi, count)
     by_turns = np.where(np.arange(count) % 2, 1.0, -1.0)
     places = np.column_stack([np.cos(angles), 2.0 * np.sin(angles), height_m * by_turns])
-    turns = np.column_stack([heading / np.pi * angles, roll_deg * np.pi / 180.0 * by_turns])
+    rotations = np.column_stack([heading / np.pi * angles, roll_deg * np.pi / 180.0 * by_turns])
     stamps = 10**18 + np.arange(count, dtype=np.int64) * 100_000_000
-    return Trajectory(stamps, places, Rotation.from_euler("ZX", turns).as_quat())
+    return Trajectory(stamps, places, Rotation.from_euler("ZX", rotations).as_quat())
 
 
 @pytest.mark.parametrize(
@@ -193,12 +193,12 @@ def test_a_live_run_doubts_as_well(tmp_path: Path) -> None:
     assert snapshot.ate["yaw_deg"] is snapshot.ate["tilt_deg"] is None
     assert snapshot.ate["rotation_deg"] is not None
     live.end()
-    [found] = live.result["runs"]
-    assert found["ate"]["yaw_deg"] is None
+    [result] = live.result["runs"]
+    assert result["ate"]["yaw_deg"] is None
     assert live.finish("--up=-y", "--json", str(tmp_path / "up.json")) == 0
-    said = json.loads((tmp_path / "up.json").read_text())
-    assert said["groundtruth"]["up"] == {"name": "-y", "origin": "given"}
-    assert said["runs"][0]["ate"]["yaw_deg"]["rmse"] < 5.0
+    text = json.loads((tmp_path / "up.json").read_text())
+    assert text["groundtruth"]["up"] == {"name": "-y", "origin": "given"}
+    assert text["runs"][0]["ate"]["yaw_deg"]["rmse"] < 5.0
 
 
 @pytest.mark.parametrize("name", ["kitti/KITTI_00_gt.txt", "kitti_odom_eval/09_groundtruth.txt"])

@@ -127,11 +127,11 @@ def test_no_output_has_a_withheld_number(
     picture = tmp_path / "run.rrd"
     assert main(["evaluate", *sides, *options, "--rrd", str(picture)]) == 0
     printed = capsys.readouterr().out
-    found = evaluate(*case(), PROTOCOL)
-    assert CASES[case] <= found.doubts.reasons.keys()
+    result = evaluate(*case(), PROTOCOL)
+    assert CASES[case] <= result.doubts.reasons.keys()
     [stored] = json.loads((output / "result.json").read_text())["runs"]
-    withheld = found.doubts.withheld(AbsoluteErrors)
-    relative = found.doubts.withheld(RelativeErrors)
+    withheld = result.doubts.withheld(AbsoluteErrors)
+    relative = result.doubts.withheld(RelativeErrors)
     assert withheld
     assert all(stored["ate"][metric] is None for metric in withheld)
     segments = [] if stored["re"] is None else stored["re"]["segments"]
@@ -149,7 +149,7 @@ def test_no_output_has_a_withheld_number(
     compared = comparison(parquet, tmp_path, sides, options[:4], withheld, capsys)
     # Without doubts, the evaluation has the numbers that no text may have.
     monkeypatch.setattr(metrics, "doubts_of", lambda *_: Doubts())
-    freedom = dataclasses.replace(found.alignment, freedom=None)
+    freedom = dataclasses.replace(result.alignment, freedom=None)
     monkeypatch.setattr(metrics, "align_pairs", lambda *_: freedom)
     whole = evaluate(*case(), PROTOCOL)
     secret = {whole.ate[metric] for metric in withheld}

@@ -44,6 +44,6 @@ def test_an_axis_has_a_label_besides_0() -> None:
     """Rerun labels 1 and 10, and not the metres between them where these are close."""
     assert range_of_rotations(np.linspace(0.0, 3.9, 100)) is None
     for largest, end in ((4.1, 10.4), (9.99, 10.4), (0.05, 0.104)):
-        found = range_of_rotations(np.linspace(0.0, largest, 100))
-        assert found == pytest.approx([0.0, end])
+        result = range_of_rotations(np.linspace(0.0, largest, 100))
+        assert result == pytest.approx([0.0, end])
     assert range_of_rotations(np.zeros(3)) is None

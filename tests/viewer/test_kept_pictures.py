@@ -37,8 +37,8 @@ VI = "evaluate vi:/groundtruth/pose vi:/vio/odometry --covariance message"
 def test_pictures_show_what_they_showed(
     name: str, typed: str, kept_runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = printed(f"{typed} --rrd out.rrd", kept_runs, tmp_path, capsys)
-    assert "status 0" in said
+    text = printed(f"{typed} --rrd out.rrd", kept_runs, tmp_path, capsys)
+    assert "status 0" in text
     assert_kept(f"picture_{name}", Rrd(tmp_path / "out.rrd").described())
 
 

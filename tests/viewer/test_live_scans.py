@@ -38,8 +38,8 @@ class Kept(LiveRecording):
 def poses(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     generator = np.random.default_rng(seed)
     stamps = NANOSECONDS + np.arange(count) * 50_000_000
-    turns = Rotation.random(count, random_state=seed).as_quat()
-    return stamps, np.hstack([generator.normal(size=(count, 3)), turns])
+    rotations = Rotation.random(count, random_state=seed).as_quat()
+    return stamps, np.hstack([generator.normal(size=(count, 3)), rotations])
 
 
 def placed(pose: np.ndarray, points: np.ndarray) -> np.ndarray:

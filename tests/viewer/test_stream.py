@@ -170,9 +170,9 @@ def assert_whole(file: Path, report: dict[str, Any]) -> None:
     picture = Rrd(file)
     for quantity in ("position_error", "ate_position"):
         stamps, values = picture.numbers(f"metrics/{quantity}/{NAME}")
-        wanted = np.array(report["handed"][quantity], dtype=object)
-        assert stamps.tolist() == wanted[:, 0].tolist()
-        assert values.tolist() == wanted[:, 1].tolist()
+        expected = np.array(report["handed"][quantity], dtype=object)
+        assert stamps.tolist() == expected[:, 0].tolist()
+        assert values.tolist() == expected[:, 1].tolist()
 
 
 @pytest.fixture(scope="module")
@@ -213,10 +213,10 @@ def test_whole_past_stands_at_the_last_alignment_at_every_time(
         now = int(stamps[0] + share * (stamps[-1] - stamps[0]))
         row = int(np.searchsorted(stamps, now, side="right")) - 1
         rotation, translation, scale = transforms[row]
-        wanted = np.array(handed[row][1:])
+        expected = np.array(handed[row][1:])
         assert scale == 1.0
-        assert rotation == pytest.approx(wanted[:9].reshape(3, 3), abs=1e-6)
-        assert translation == pytest.approx(wanted[9:], abs=1e-5)
+        assert rotation == pytest.approx(expected[:9].reshape(3, 3), abs=1e-6)
+        assert translation == pytest.approx(expected[9:], abs=1e-5)
         points = np.concatenate([*picture.path(FRAME, now), np.empty((0, 3))])
         past = estimate.positions[estimate.stamps <= now]
         # Every pose so far is on the path, but for those between two that are drawn.
@@ -237,8 +237,8 @@ def test_far_from_the_origin_nothing_steps(tmp_path: Path) -> None:
         stamps, rows = picture.strips(f"world/{entity}/path/recent")
         points = np.array([row[0][-1] for row in rows if row], dtype=np.float64)
         stamps = stamps[[bool(row) for row in rows]]
-        wanted = trajectory.positions[np.searchsorted(trajectory.stamps, stamps)]
-        steps = np.diff(points, axis=0) - np.diff(wanted, axis=0)
+        expected = trajectory.positions[np.searchsorted(trajectory.stamps, stamps)]
+        steps = np.diff(points, axis=0) - np.diff(expected, axis=0)
         # A step of float32 at 5e6 m would be half a metre.
         assert np.abs(steps).max() < 1e-4
     _, transforms = picture.transforms(FRAME)
@@ -364,8 +364,8 @@ def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
     assert report["dropped"][0] > 0
     stamps, values = picture.numbers(f"metrics/position_error/{NAME}")
     assert len(stamps) > 100
-    wanted = report["handed"]["position_error"][: len(stamps)]
-    assert values.tolist() == [value for _, value in wanted]
+    expected = report["handed"]["position_error"][: len(stamps)]
+    assert values.tolist() == [value for _, value in expected]
 
 
 @pytest.mark.slow

@@ -102,9 +102,9 @@ def test_drawn_path_is_the_aligned_one_far_from_the_origin(drawn) -> None:
     there = ends @ (scale * rotation).T + translation + np.array(origin)
     places = np.searchsorted(evaluation.estimate.stamps, stamps)
     assert (evaluation.estimate.stamps[places] == stamps).all()
-    wanted = evaluation.alignment.similarity.positions(evaluation.estimate.positions)[places]
+    expected = evaluation.alignment.similarity.positions(evaluation.estimate.positions)[places]
     # A step of float32 at 5e6 m would be half a metre.
-    assert np.abs(there - wanted).max() < 1e-4
+    assert np.abs(there - expected).max() < 1e-4
 
 
 @needs_rerun
@@ -130,8 +130,8 @@ def test_drawn_numbers_are_the_evaluations(drawn) -> None:
 @needs_rerun
 def test_gap_is_told_and_not_drawn_across(drawn) -> None:
     evaluation, picture = drawn
-    said = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
-    assert any("no pairs for 2.0 s" in item for item in said)
+    message = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
+    assert any("no pairs for 2.0 s" in item for item in message)
     longest = max(
         np.linalg.norm(np.diff(row[0], axis=0), axis=1).max()
         for row in picture.strips(f"{FRAME}/path/past")[1]
@@ -436,8 +436,8 @@ def test_live_lanes_show_status_and_alarms(tmp_path: Path) -> None:
 
     assert lane(f"status/{NAME}") == ["OK", "error", "warning", "OK"]
     assert lane(f"alarm/{NAME}/position_m") == ["error", "OK"]
-    said = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
-    assert said == [f"{NAME}: {item.text}" for item in (alarm, late)]
+    message = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
+    assert message == [f"{NAME}: {item.text}" for item in (alarm, late)]
 
 
 def test_a_lane_shows_a_frozen_estimate_from_its_begin_on() -> None:
@@ -536,10 +536,10 @@ def test_view_says_what_is_wrong(
 @needs_rerun
 def test_screenshot_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "run.rrd").write_bytes(b"pairs")
-    wanted = ["--screenshot", str(tmp_path / "a.png")]
-    assert main(["view", str(tmp_path), *wanted]) == 2
+    expected = ["--screenshot", str(tmp_path / "a.png")]
+    assert main(["view", str(tmp_path), *expected]) == 2
     assert "is not a Rerun file" in capsys.readouterr().err
-    assert main(["view", str(tmp_path), *wanted, "--web"]) == 2
+    assert main(["view", str(tmp_path), *expected, "--web"]) == 2
     assert "exclude each other" in capsys.readouterr().err
     assert {path.name for path in tmp_path.iterdir()} == {"run.rrd"}
 

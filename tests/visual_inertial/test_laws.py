@@ -71,12 +71,12 @@ def test_gauge_moves_no_residual(small: Scene, seed: int) -> None:
     motion = motion.reshape(-1, 9, 4)
     visual = visual_errors(problem, state)
     # E U, with the first rotation turned into left coordinates.
-    turned = motion[:, 3:6].copy()
-    turned[0] = so3.left_jacobian(state.first_turn) @ turned[0]
+    rotated = motion[:, 3:6].copy()
+    rotated[0] = so3.left_jacobian(state.first_turn) @ rotated[0]
     relative_motion = (
         landmarks.reshape(-1, 3, 4)[problem.visibility.landmark_of]
         - motion[problem.visibility.keyframe_of, :3]
-        + so3.skew(visual.rays) @ turned[problem.visibility.keyframe_of]
+        + so3.skew(visual.rays) @ rotated[problem.visibility.keyframe_of]
     )
     scale = np.abs(visual.by_point).max() * np.abs(basis).max()
     assert np.abs(visual.by_point @ relative_motion).max() < 1e-12 * scale
@@ -149,8 +149,8 @@ def _start(problem: Problem, state: State) -> State:
     noise = np.random.default_rng(5).normal(0.0, 0.01, 9 * problem.keyframes)
     noise = np.concatenate([noise, np.zeros(state.landmarks.size)])
     start = state.moved(noise)
-    turn = state.reference_rotation
-    angle = so3.yaw_of_matrix(turn @ start.rotations[0].T)
+    rotation_step = state.reference_rotation
+    angle = so3.yaw_of_matrix(rotation_step @ start.rotations[0].T)
     rotation = so3.exp(angle * E_Z)
     moved = start.transformed(rotation, state.reference_position - rotation @ start.positions[0])
     return moved.referred_to(state.reference_rotation, state.reference_position)

@@ -168,9 +168,9 @@ def test_images_alone_leave_a_similarity_or_a_rigid_motion_open(
     )
     moves = np.abs(problem.residuals(scaled)[0]).max()
     assert moves > 0.1 if freedom == 6 else moves < 1e-9
-    turn = so3.exp(np.array([0.3, -0.5, 0.8]))
-    turned = truth.transformed(turn, np.array([1.0, 2.0, 3.0]))
-    assert np.abs(problem.residuals(turned)[0]).max() < 1e-9
+    rotation = so3.exp(np.array([0.3, -0.5, 0.8]))
+    rotated = truth.transformed(rotation, np.array([1.0, 2.0, 3.0]))
+    assert np.abs(problem.residuals(rotated)[0]).max() < 1e-9
 
 
 @pytest.mark.parametrize("profile", ["paper", "stereo"])
@@ -198,8 +198,8 @@ def test_prior_takes_part_in_the_damping(weight: float, keyframes: int, track: i
     moved = start.moved(step)
     shift = np.append(moved.positions[0] - start.positions[0], moved.first_turn[2])
     expected = problem.cost(moved) + 0.5 * weight * float(shift @ shift)
-    found = solve(problem, start, GaugeHandling.PRIOR, weight).trace
-    assert found.cost[1] == pytest.approx(expected, rel=1e-9)
+    result = solve(problem, start, GaugeHandling.PRIOR, weight).trace
+    assert result.cost[1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_nothing_observed_is_refused() -> None:

@@ -71,10 +71,10 @@ def test_covariances(case: Case) -> None:
 
 def test_transformation_of_covariance(case: Case) -> None:
     free = free_covariance(case.problem, case.state)
-    turn = so3.exp(np.array([0.0, 0.0, 0.7]))
+    rotation = so3.exp(np.array([0.0, 0.0, 0.7]))
     expected = case.numbers["eq12"]
     covariance, state = transform(
-        free, case.state, turn @ case.reference_rotation, np.array(expected["new_ref_p0"])
+        free, case.state, rotation @ case.reference_rotation, np.array(expected["new_ref_p0"])
     )
     assert relative(covariance, np.array(expected["cov"])) < COVARIANCES
     assert relative(state.positions, np.array(expected["thetaC_p"])) < NUMBERS
@@ -114,7 +114,7 @@ def test_solver_takes_the_steps_of_ceres(case: Case, handling: GaugeHandling, na
     sigmas = np.sqrt(np.diagonal(covariance)).reshape(-1, 9)
     short = np.sqrt(2e-14 * converged.cost)
     for name, sigma in (("positions", sigmas[:, :3].max()), ("velocities", sigmas[:, 6:].max())):
-        found = getattr(converged.state, name)
+        result = getattr(converged.state, name)
         there = np.array(expected[f"converged_{name[0]}"])
-        assert np.abs(getattr(again.state, name) - found).max() < short * sigma
-        assert np.abs(found - there).max() < short * sigma
+        assert np.abs(getattr(again.state, name) - result).max() < short * sigma
+        assert np.abs(result - there).max() < short * sigma

@@ -20,8 +20,8 @@ def _solve(scene: Scene, seed: int, handling: GaugeHandling, **settings: float) 
 def _position_rmse(scene: Scene, solution: SolverResult) -> float:
     truth, state = scene.groundtruth, solution.state
     angle = so3.yaw_of_matrix(truth.rotations[0] @ state.rotations[0].T)
-    turn = so3.exp(angle * np.array([0.0, 0.0, 1.0]))
-    aligned = state.transformed(turn, truth.positions[0] - turn @ state.positions[0])
+    rotation = so3.exp(angle * np.array([0.0, 0.0, 1.0]))
+    aligned = state.transformed(rotation, truth.positions[0] - rotation @ state.positions[0])
     return float(np.sqrt(np.mean(np.sum((aligned.positions - truth.positions) ** 2, axis=1))))
 
 

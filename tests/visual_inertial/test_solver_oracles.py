@@ -46,11 +46,11 @@ def test_solver_goes_the_way_of_ceres(
     problem, start = _trial(name, layout, trial)
     weight = 1e5 if handling is GaugeHandling.PRIOR else 0.0
     theirs = solve_with_ceres(ceres, problem, start, handling, weight)
-    ours = solve(problem, start, handling, weight, keep_last_step=False)
-    assert ours.iterations == theirs.iterations
-    assert ours.cost == pytest.approx(theirs.cost, rel=1e-13)
-    np.testing.assert_allclose(ours.state.positions, theirs.state.positions, atol=1e-9)
-    np.testing.assert_allclose(ours.state.landmarks, theirs.state.landmarks, atol=1e-8)
+    actual = solve(problem, start, handling, weight, keep_last_step=False)
+    assert actual.iterations == theirs.iterations
+    assert actual.cost == pytest.approx(theirs.cost, rel=1e-13)
+    np.testing.assert_allclose(actual.state.positions, theirs.state.positions, atol=1e-9)
+    np.testing.assert_allclose(actual.state.landmarks, theirs.state.landmarks, atol=1e-8)
 
 
 @pytest.mark.parametrize("trial", range(4))
@@ -60,9 +60,9 @@ def test_solver_goes_the_way_of_ceres_with_any_prior(
 ) -> None:
     problem, start = _trial("sine", "plane", trial)
     theirs = solve_with_ceres(ceres, problem, start, GaugeHandling.PRIOR, weight)
-    ours = solve(problem, start, GaugeHandling.PRIOR, weight, keep_last_step=False)
-    assert ours.iterations == theirs.iterations
-    assert ours.cost == pytest.approx(theirs.cost, rel=1e-12)
+    actual = solve(problem, start, GaugeHandling.PRIOR, weight, keep_last_step=False)
+    assert actual.iterations == theirs.iterations
+    assert actual.cost == pytest.approx(theirs.cost, rel=1e-12)
 
 
 @pytest.mark.parametrize(("name", "layout"), CONFIGURATIONS[:3])
@@ -71,14 +71,14 @@ def test_minimum_and_covariances_are_those_of_gtsam(gtsam: Any, name: str, layou
     weight = 1e5
     theirs = GtsamProblem(gtsam, problem, start, weight).solved()
     assert problem.cost(start) == pytest.approx(theirs.initial_cost, rel=1e-11)
-    ours = solve(problem, start, GaugeHandling.PRIOR, weight, function_tolerance=1e-15)
-    assert ours.cost == pytest.approx(theirs.cost, rel=3e-14)
-    np.testing.assert_allclose(ours.state.positions, theirs.positions, atol=1e-8)
-    np.testing.assert_allclose(ours.state.rotations, theirs.rotations, atol=1e-8)
-    np.testing.assert_allclose(ours.state.landmarks, theirs.landmarks, atol=1e-7)
+    actual = solve(problem, start, GaugeHandling.PRIOR, weight, function_tolerance=1e-15)
+    assert actual.cost == pytest.approx(theirs.cost, rel=3e-14)
+    np.testing.assert_allclose(actual.state.positions, theirs.positions, atol=1e-8)
+    np.testing.assert_allclose(actual.state.rotations, theirs.rotations, atol=1e-8)
+    np.testing.assert_allclose(actual.state.landmarks, theirs.landmarks, atol=1e-7)
     # At GTSAM's minimum: where each solver stops depends on rounding, and so on the CPU.
     state = dataclasses.replace(
-        ours.state,
+        actual.state,
         positions=theirs.positions,
         velocities=theirs.velocities,
         rotations=theirs.rotations,

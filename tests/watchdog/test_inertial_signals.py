@@ -40,9 +40,9 @@ def signals_of(turns: Rotation, positions: Floats, imu: Floats | None = None) ->
     imu = readings() if imu is None else imu
     signals = InertialSignals(PERIOD_S, ARMED_S)
     assert signals.add_other(imu) == {}
-    found = signals.add(OrderedFeed().rows(TIMES, positions, turns.as_quat()))
+    result = signals.add(OrderedFeed().rows(TIMES, positions, turns.as_quat()))
     assert signals.usable
-    return found
+    return result
 
 
 def since_fault(times: Floats) -> Floats:
@@ -51,10 +51,10 @@ def since_fault(times: Floats) -> Floats:
 
 
 def test_an_exact_motion_has_no_error() -> None:
-    found = signals_of(turned(TIMES), places(TIMES))
-    assert set(found) == {"gyro_deg_1s", "gyro_deg_20s", "gravity_mps2_5s"}
+    result = signals_of(turned(TIMES), places(TIMES))
+    assert set(result) == {"gyro_deg_1s", "gyro_deg_20s", "gravity_mps2_5s"}
     for name, limit in (("gyro_deg_1s", 1e-3), ("gyro_deg_20s", 1e-2), ("gravity_mps2_5s", 1e-3)):
-        seconds, values = found[name]
+        seconds, values = result[name]
         window_s = float(name.partition("_")[2].partition("_")[2][:-1])
         assert values.max() < limit
         # The velocity is a mean over 0.1 s.
@@ -67,22 +67,24 @@ def test_an_exact_motion_has_no_error() -> None:
 
 @pytest.mark.parametrize("degrees", [2.0, 7.0])
 def test_a_step_of_the_orientation_is_seen_for_the_length_of_the_windows(degrees: float) -> None:
-    turn = Rotation.from_rotvec(
+    rotation = Rotation.from_rotvec(
         np.radians(degrees) * np.outer(TIMES >= FAULT_S, [1.0, 2.0, -2.0]) / 3.0
     )
-    found = signals_of(turn * turned(TIMES), places(TIMES))
+    result = signals_of(rotation * turned(TIMES), places(TIMES))
     for name, window_s in (("gyro_deg_1s", 1.0), ("gyro_deg_20s", 20.0)):
-        seconds, values = found[name]
+        seconds, values = result[name]
         inside = (seconds > FAULT_S - 1e-6) & (seconds < FAULT_S + window_s - 1e-6)
         np.testing.assert_allclose(values[inside], degrees, rtol=0.004)
         assert values[~inside].max() < 0.01
 
 
 def test_a_drift_of_the_orientation_grows_with_the_window() -> None:
-    turn = Rotation.from_rotvec(np.radians(0.3) * np.outer(since_fault(TIMES), [0.0, 0.0, 1.0]))
-    found = signals_of(turn * turned(TIMES), places(TIMES))
+    rotation = Rotation.from_rotvec(
+        np.radians(0.3) * np.outer(since_fault(TIMES), [0.0, 0.0, 1.0])
+    )
+    result = signals_of(rotation * turned(TIMES), places(TIMES))
     for name, window_s in (("gyro_deg_1s", 1.0), ("gyro_deg_20s", 20.0)):
-        seconds, values = found[name]
+        seconds, values = result[name]
         expected = 0.3 * np.minimum(since_fault(seconds), window_s)
         np.testing.assert_allclose(values, expected, rtol=0.003, atol=0.01)
 
@@ -110,10 +112,10 @@ def test_errors_count_as_far_as_the_mounting_is_known(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(inertial_signals, "mounting_of", uncertain)
     degrees = 2.0 * (TIMES >= FAULT_S)
-    turn = Rotation.from_rotvec(np.radians(np.outer(degrees, [0.0, 0.0, 1.0])))
+    rotation = Rotation.from_rotvec(np.radians(np.outer(degrees, [0.0, 0.0, 1.0])))
     positions = places(TIMES) + 0.5 * np.outer(since_fault(TIMES) ** 2, [0.0, 1.0, 0.0])
-    found = signals_of(turn * turned(TIMES), positions)
-    seconds, values = found["gravity_mps2_5s"]
+    result = signals_of(rotation * turned(TIMES), positions)
+    seconds, values = result["gravity_mps2_5s"]
     late = seconds > FAULT_S + 6.0
     up = turned(seconds).inv().apply([0.0, 0.0, 1.0])
     variance = np.trace(spread) - np.einsum("ni,ij,nj->n", up, spread, up)
@@ -121,10 +123,10 @@ def test_errors_count_as_far_as_the_mounting_is_known(monkeypatch: pytest.Monkey
     # The orientations are turned about the vertical, and with them the force and its integral.
     share = floor / np.sqrt(floor**2 + variance)
     assert np.ptp(share[late]) > 0.1
-    known = signals_without(monkeypatch, turn * turned(TIMES), positions)["gravity_mps2_5s"]
+    known = signals_without(monkeypatch, rotation * turned(TIMES), positions)["gravity_mps2_5s"]
     np.testing.assert_allclose(values[late], (known.values * share)[late], rtol=2e-3)
     for name, window_s in (("gyro_deg_1s", 1.0), ("gyro_deg_20s", 20.0)):
-        seconds, values = found[name]
+        seconds, values = result[name]
         inside = (seconds > FAULT_S - 1e-6) & (seconds < FAULT_S + window_s - 1e-6)
         before, after = turned(seconds[inside] - window_s), turned(seconds[inside])
         back = (before.inv() * after).inv()
@@ -151,8 +153,10 @@ def signals_without(
 @pytest.mark.parametrize("late_s", [0.0, 0.7])
 def test_portions_with_another_clock_give_the_same(late_s: float) -> None:
     """Two seconds each, the readings before the states or after them."""
-    turn = Rotation.from_rotvec(np.radians(0.3) * np.outer(since_fault(TIMES), [0.0, 0.0, 1.0]))
-    quaternions = (turn * turned(TIMES)).as_quat()
+    rotation = Rotation.from_rotvec(
+        np.radians(0.3) * np.outer(since_fault(TIMES), [0.0, 0.0, 1.0])
+    )
+    quaternions = (rotation * turned(TIMES)).as_quat()
     states, imu = OrderedFeed().rows(TIMES, places(TIMES), quaternions), readings()
     signals, parts = InertialSignals(PERIOD_S, ARMED_S), []
     for begin in np.arange(-1.0, END_S + 3.0, 2.0):
@@ -162,13 +166,13 @@ def test_portions_with_another_clock_give_the_same(late_s: float) -> None:
             parts.append(signals.add_other(imu[heard]))
         if told.any():
             parts.append(signals.add(states[told]))
-    whole = signals_of(turn * turned(TIMES), places(TIMES))
-    for name, found in joined(parts).items():
+    whole = signals_of(rotation * turned(TIMES), places(TIMES))
+    for name, result in joined(parts).items():
         # What the last readings cover.
         count = len(whole[name].seconds)
-        assert len(found.seconds) - count in (0, 1)
-        assert found.seconds[:count].tolist() == whole[name].seconds.tolist()
-        np.testing.assert_allclose(found.values[:count], whole[name].values, atol=1e-9)
+        assert len(result.seconds) - count in (0, 1)
+        assert result.seconds[:count].tolist() == whole[name].seconds.tolist()
+        np.testing.assert_allclose(result.values[:count], whole[name].values, atol=1e-9)
 
 
 @pytest.mark.parametrize(("begin_s", "is_enough"), [(27.99, True), (28.01, False)])
@@ -188,7 +192,7 @@ def test_windows_begin_after_gaps() -> None:
     kept = (TIMES < 60.0) | (TIMES > 63.0)
     signals = InertialSignals(PERIOD_S, ARMED_S)
     signals.add_other(readings())
-    found = signals.add(
+    result = signals.add(
         OrderedFeed().rows(TIMES[kept], places(TIMES)[kept], turned(TIMES)[kept].as_quat())
     )
     clock = readings()[:, 0]
@@ -196,7 +200,7 @@ def test_windows_begin_after_gaps() -> None:
     columns = readings()[heard]
     rows = OrderedFeed().rows(columns[:, 0], columns[:, 2:5], columns[:, 5:8])
     other = signals_of(turned(TIMES), places(TIMES), rows)
-    for signals_found in (found, other):
+    for signals_found in (result, other):
         for name, first in (("gyro_deg_1s", 1.0), ("gravity_mps2_5s", 5.1)):
             seconds = signals_found[name].seconds
             inside = seconds[(seconds > 60.1) & (seconds < 69.0)]

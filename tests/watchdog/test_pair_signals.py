@@ -32,17 +32,17 @@ def partner(times: Floats) -> Floats:
 def signals_of(turns: Rotation, positions: Floats, source: str = "pair") -> Signals:
     signals = PairSignals(source, PERIOD_S, ARMED_S)
     assert signals.add_other(partner(TIMES)) == {}
-    found = signals.add(OrderedFeed().rows(TIMES, positions, turns.as_quat()))
+    result = signals.add(OrderedFeed().rows(TIMES, positions, turns.as_quat()))
     assert signals.usable
-    return found
+    return result
 
 
 def test_the_body_of_a_partner_is_found_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
-    found: list[Any] = []
+    result: list[Any] = []
 
     def kept(*given: Any, **options: Any) -> Any:
-        found.append((body_difference(*given, **options), options, len(given[0])))
-        return found[-1][0]
+        result.append((body_difference(*given, **options), options, len(given[0])))
+        return result[-1][0]
 
     monkeypatch.setattr(pair_signals, "body_difference", kept)
     signals = signals_of(turned(TIMES), places(TIMES), "pair.wheel")
@@ -50,7 +50,7 @@ def test_the_body_of_a_partner_is_found_exactly(monkeypatch: pytest.MonkeyPatch)
         f"pair_{name}s.wheel" for name in ("percent_5", "percent_20", "deg_5", "deg_20")
     )
     assert all(values.max() < 1e-3 for _, values in signals.values())
-    [(body, options, count)] = found
+    [(body, options, count)] = result
     assert options == {"overlap": pytest.approx(PERIOD_S / 2.0)}
     assert count == 280  # windows of 2 s before arming
     apart = Rotation.from_quat(body.rotation) * BODY.inv()
@@ -61,10 +61,12 @@ def test_the_body_of_a_partner_is_found_exactly(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_step_of_the_orientation_is_seen_for_the_length_of_the_windows() -> None:
-    turn = Rotation.from_rotvec(np.radians(2.0) * np.outer(TIMES >= FAULT_S, [1.0, 2.0, -2.0]) / 3)
-    found = signals_of(turn * turned(TIMES), places(TIMES))
+    rotation = Rotation.from_rotvec(
+        np.radians(2.0) * np.outer(TIMES >= FAULT_S, [1.0, 2.0, -2.0]) / 3
+    )
+    result = signals_of(rotation * turned(TIMES), places(TIMES))
     for window_s in WINDOWS_S:
-        seconds, values = found[f"pair_deg_{window_s:g}s"]
+        seconds, values = result[f"pair_deg_{window_s:g}s"]
         assert seconds[0] == pytest.approx(window_s)
         assert seconds[-1] == TIMES[-1]
         inside = (seconds > FAULT_S - 1e-6) & (seconds < FAULT_S + window_s - 1e-6)
@@ -76,12 +78,12 @@ def test_a_step_of_the_orientation_is_seen_for_the_length_of_the_windows() -> No
 def test_a_step_of_the_position_is_a_part_of_the_path(size: float) -> None:
     """One metre longer, so that a robot at rest has no infinite error."""
     step = size * np.outer(TIMES >= FAULT_S, [0.6, 0.0, -0.8])
-    found = signals_of(turned(TIMES), places(TIMES) + step)
+    result = signals_of(turned(TIMES), places(TIMES) + step)
     moved = np.zeros(len(TIMES))
     moved[10:] = np.linalg.norm(places(TIMES)[10:] - places(TIMES)[:-10], axis=1)
     path = PERIOD_S * np.cumsum(moved)
     for window_s in WINDOWS_S:
-        seconds, values = found[f"pair_percent_{window_s:g}s"]
+        seconds, values = result[f"pair_percent_{window_s:g}s"]
         rows, back = np.rint(seconds / PERIOD_S).astype(int), round(window_s / PERIOD_S)
         expected = 100.0 * size / (1.0 + path[rows] - path[rows - back])
         inside = (seconds > FAULT_S - 1e-6) & (seconds < FAULT_S + window_s - 1e-6)
@@ -95,7 +97,7 @@ def test_errors_count_as_far_as_the_body_is_known(monkeypatch: pytest.MonkeyPatc
     covariances = [np.zeros((7, 7)), np.diag(sigma**2)]
     made = []
     axis = np.array([1.0, 2.0, -2.0]) / 3.0
-    turn = Rotation.from_rotvec(np.radians(2.0) * np.outer(TIMES >= FAULT_S, axis))
+    rotation = Rotation.from_rotvec(np.radians(2.0) * np.outer(TIMES >= FAULT_S, axis))
     step = 0.5 * np.outer(TIMES >= FAULT_S, [0.6, 0.0, -0.8])
     for covariance in covariances:
         monkeypatch.setattr(
@@ -106,7 +108,7 @@ def test_errors_count_as_far_as_the_body_is_known(monkeypatch: pytest.MonkeyPatc
             ),
         )
         both = signals_of(turned(TIMES), places(TIMES) + step)
-        angles = signals_of(turn * turned(TIMES), places(TIMES))
+        angles = signals_of(rotation * turned(TIMES), places(TIMES))
         made.append({**both, **{name: angles[name] for name in both if "deg" in name}})
     for window_s in WINDOWS_S:
         name, floor = f"pair_percent_{window_s:g}s", 0.01 + 0.005 * window_s

@@ -46,8 +46,8 @@ UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 def poses(times: Floats, positions: Floats, quaternions: Floats = UPRIGHT) -> Floats:
     """Return rows of poses without a gap."""
-    turns = np.broadcast_to(quaternions, (len(times), 4))
-    return OrderedFeed().rows(times, np.asarray(positions), turns)
+    rotations = np.broadcast_to(quaternions, (len(times), 4))
+    return OrderedFeed().rows(times, np.asarray(positions), rotations)
 
 
 def along_x(times: Floats, speed: float = 1.0) -> Floats:
@@ -98,13 +98,15 @@ def test_rotations_over_time() -> None:
     for step in steps:
         now = now * step
         expected.append(now)
-    found = Rotation.from_quat(running_products(first.as_quat(), steps.as_quat()))
-    assert max((a.inv() * b).magnitude() for a, b in zip(found, expected, strict=True)) < 1e-12
+    result = Rotation.from_quat(running_products(first.as_quat(), steps.as_quat()))
+    assert max((a.inv() * b).magnitude() for a, b in zip(result, expected, strict=True)) < 1e-12
     assert running_products(first.as_quat(), np.zeros((0, 4))).shape == (0, 4)
     times = np.arange(3.0)
-    turned = lie.from_rotation_vector(np.outer([0.0, 0.2, 0.8], [0.0, 0.0, 1.0]))
-    found = slerp_at(times, turned, np.array([-1.0, 0.5, 1.25, 9.0]))
-    np.testing.assert_allclose(lie.rotation_vector(found)[:, 2], [0.0, 0.1, 0.35, 0.8], atol=1e-12)
+    rotated = lie.from_rotation_vector(np.outer([0.0, 0.2, 0.8], [0.0, 0.0, 1.0]))
+    result = slerp_at(times, rotated, np.array([-1.0, 0.5, 1.25, 9.0]))
+    np.testing.assert_allclose(
+        lie.rotation_vector(result)[:, 2], [0.0, 0.1, 0.35, 0.8], atol=1e-12
+    )
     angles = np.array([0.0, 10.0, 179.0, 181.0, 350.0, 370.0])
     about = lie.from_rotation_vector(np.outer(np.radians(angles), [0.6, 0.0, 0.8]))
     signs = generator.choice([-1.0, 1.0], len(angles))[:, None]
@@ -140,9 +142,9 @@ def test_names_of_signals_and_sources() -> None:
         {"smooth": Readings(np.array([0.5]), np.array([3.0]))},
         {"gap": Readings(np.array([1.0]), np.array([2.0]))},
     ]
-    found = joined(parts)
-    assert list(found) == ["gap", "smooth"]
-    assert [item.tolist() for item in found["gap"]] == [[0.0, 1.0], [1.0, 2.0]]
+    result = joined(parts)
+    assert list(result) == ["gap", "smooth"]
+    assert [item.tolist() for item in result["gap"]] == [[0.0, 1.0], [1.0, 2.0]]
 
 
 def one_second(**values: float) -> dict[str, Readings]:
@@ -212,14 +214,14 @@ def test_what_is_not_detected_is_said_once() -> None:
     assert [text.partition(":")[0] for text in undetected_faults([], [], [])] == [
         "no twist", "no IMU", "no second estimate",
     ]  # fmt: skip
-    (said,) = undetected_faults(["twist", "imu", "pair", "map"], ["imu", "pair"], [])
-    assert said.startswith("no data of the map-to-odom transform after arming (30 s of motion)")
+    (message,) = undetected_faults(["twist", "imu", "pair", "map"], ["imu", "pair"], [])
+    assert message.startswith("no data of the map-to-odom transform after arming (30 s of motion)")
 
 
 def test_remarks_about_an_imu_need_a_difference_that_matters() -> None:
     def said(turn_deg: float, offset_s: float, axis: Floats | None = None) -> list[str]:
-        turn = lie.from_rotation_vector(np.radians([turn_deg, 0.0, 0.0]))
-        return Mounting(turn, np.zeros(3), offset_s, axis, 0.1, np.eye(6)).remarks()
+        rotation = lie.from_rotation_vector(np.radians([turn_deg, 0.0, 0.0]))
+        return Mounting(rotation, np.zeros(3), offset_s, axis, 0.1, np.eye(6)).remarks()
 
     assert said(4.9, 0.049) == said(-4.9, -0.049) == []
     assert [item[:37] for item in said(5.1, 0.0)] == ["the IMU frame is rotated by 5.1 deg f"]
@@ -296,21 +298,21 @@ def test_signals_of_events_begin_when_they_are_known() -> None:
     good = along_x(times, 2.0) + generator.normal(0.0, 1e-3, (600, 3))
     assert events_in(good) == {}
     jumped = good + np.where(times >= 20.0, 0.5, 0.0)[:, None] * [0.0, 1.0, 0.0]
-    found = events_in(jumped)
-    assert list(found) == ["step"]
-    assert found["step"].seconds[0] == pytest.approx(20.05)  # with the next pose
-    assert found["step"].values[0] > 3.0 * signal_of("step").limit
-    assert not found["step"].values[1:].any()
-    turned = lie.from_rotation_vector(generator.normal(0.0, 1e-3, (600, 3)))
-    turned[400] = lie.multiply(turned[400], np.array([1.0, 0.0, 0.0, 0.0]))
-    assert list(events_in(good, turned)) == ["flip"]
+    result = events_in(jumped)
+    assert list(result) == ["step"]
+    assert result["step"].seconds[0] == pytest.approx(20.05)  # with the next pose
+    assert result["step"].values[0] > 3.0 * signal_of("step").limit
+    assert not result["step"].values[1:].any()
+    rotated = lie.from_rotation_vector(generator.normal(0.0, 1e-3, (600, 3)))
+    rotated[400] = lie.multiply(rotated[400], np.array([1.0, 0.0, 0.0, 0.0]))
+    assert list(events_in(good, rotated)) == ["flip"]
 
 
 def test_a_freeze_lasts_and_a_gap_has_its_periods() -> None:
     times = np.arange(600) * 0.05
-    found = events_in(along_x(np.minimum(times, 20.0)))
-    assert list(found) == ["frozen_position"]
-    seconds, values = found["frozen_position"]
+    result = events_in(along_x(np.minimum(times, 20.0)))
+    assert list(result) == ["frozen_position"]
+    seconds, values = result["frozen_position"]
     assert seconds[0] == pytest.approx(20.5)
     np.testing.assert_allclose(values, seconds - 20.0, atol=1e-9)
     stamps = np.rint((times + np.where(times > 20.0, 0.2, 0.0)) * SECOND).astype(np.int64)
@@ -328,28 +330,28 @@ def test_map_corrections_move_the_robot_where_it_is() -> None:
     assert {name: len(item.values) for name, item in first.items()} == {
         "map_correction_m_1s": 0, "map_correction_deg_1s": 0,
     }  # fmt: skip
-    turn = lie.from_rotation_vector(np.array([0.0, 0.0, np.radians(2.0)]))
-    found = signals.add_other(poses(np.array([10.0]), np.zeros((1, 3)), turn))
+    rotation = lie.from_rotation_vector(np.array([0.0, 0.0, np.radians(2.0)]))
+    result = signals.add_other(poses(np.array([10.0]), np.zeros((1, 3)), rotation))
     # At 10 m from the origin, 2 degrees are 0.349 m.
-    assert found["map_correction_m_1s"].values == pytest.approx([20.0 * np.sin(np.radians(1.0))])
-    assert found["map_correction_deg_1s"].values == pytest.approx([2.0])
-    again = signals.add_other(poses(np.array([12.0]), np.zeros((1, 3)), turn))
+    assert result["map_correction_m_1s"].values == pytest.approx([20.0 * np.sin(np.radians(1.0))])
+    assert result["map_correction_deg_1s"].values == pytest.approx([2.0])
+    again = signals.add_other(poses(np.array([12.0]), np.zeros((1, 3)), rotation))
     assert again["map_correction_deg_1s"].values == pytest.approx([0.0], abs=1e-9)
 
 
 def test_the_body_of_a_partner_by_its_definition() -> None:
     generator = np.random.default_rng(2)
-    turns = lie.from_rotation_vector(generator.normal(0.0, 0.5, (80, 3)))
+    rotations = lie.from_rotation_vector(generator.normal(0.0, 0.5, (80, 3)))
     steps = generator.normal(0.0, 1.0, (80, 3))
     rotation, lever = Rotation.random(random_state=3), np.array([0.3, -0.2, 0.1])
-    own = Rotation.from_quat(turns)
+    own = Rotation.from_quat(rotations)
     other_turns = (rotation.inv() * own * rotation).as_quat()
     other_steps = rotation.inv().apply(steps - lever + own.apply(lever)) / 1.7
-    found = body_difference(turns, steps, other_turns, other_steps)
-    assert (Rotation.from_quat(found.rotation).inv() * rotation).magnitude() < 1e-6
-    np.testing.assert_allclose(found.lever_m, lever, atol=1e-6)
-    assert found.scale == pytest.approx(1.7)
-    assert np.sqrt(np.diag(found.covariance)).max() < 1e-3
+    result = body_difference(rotations, steps, other_turns, other_steps)
+    assert (Rotation.from_quat(result.rotation).inv() * rotation).magnitude() < 1e-6
+    np.testing.assert_allclose(result.lever_m, lever, atol=1e-6)
+    assert result.scale == pytest.approx(1.7)
+    assert np.sqrt(np.diag(result.covariance)).max() < 1e-3
 
 
 @pytest.mark.parametrize("seed", range(4200, 4206))
@@ -366,13 +368,13 @@ def test_the_body_of_a_partner_of_a_planar_robot_is_within_its_standard_deviatio
     other_steps += generator.normal(0.0, 0.005, steps.shape)
     noisy = rotation.inv() * own * rotation
     noisy *= Rotation.from_rotvec(generator.normal(0.0, 0.002, (count, 3)))
-    found = body_difference(own.as_quat(), steps, noisy.as_quat(), other_steps)
-    sigma = np.sqrt(np.diag(found.covariance))
-    off = (Rotation.from_quat(found.rotation) * rotation.inv()).as_rotvec()
+    result = body_difference(own.as_quat(), steps, noisy.as_quat(), other_steps)
+    sigma = np.sqrt(np.diag(result.covariance))
+    off = (Rotation.from_quat(result.rotation) * rotation.inv()).as_rotvec()
     assert np.degrees(np.linalg.norm(off)) < 0.5
     assert (np.abs(off) < 4.0 * sigma[:3]).all()
-    assert (np.abs(found.lever_m - lever) < 4.0 * sigma[3:6]).all()
-    assert abs(np.log(found.scale / 1.7)) < 4.0 * sigma[6]
+    assert (np.abs(result.lever_m - lever) < 4.0 * sigma[3:6]).all()
+    assert abs(np.log(result.scale / 1.7)) < 4.0 * sigma[6]
     # The lever arm along the axis has no effect: only the prior of 0.5 m is known.
     assert sigma[5] == pytest.approx(0.5, rel=0.05)
     assert max(sigma[3:5]) < 0.01
@@ -382,8 +384,8 @@ def test_residuals_count_where_the_calibration_is_known() -> None:
     residuals = np.array([[0.3, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.0]])
     jacobians = np.tile(np.eye(3), (3, 1, 1))
     covariance = np.diag([1e-12, 0.2**2, 1.0])
-    found = judged(residuals, jacobians, covariance, 0.1)
-    assert found == pytest.approx([0.3, 0.4 * 0.1 / np.hypot(0.1, 0.2), 0.0])
+    result = judged(residuals, jacobians, covariance, 0.1)
+    assert result == pytest.approx([0.3, 0.4 * 0.1 / np.hypot(0.1, 0.2), 0.0])
 
 
 def lag_run(lag_s: float, speed: Floats, seed: int) -> tuple[float, float]:
@@ -391,13 +393,13 @@ def lag_run(lag_s: float, speed: Floats, seed: int) -> tuple[float, float]:
     generator = np.random.default_rng(seed)
     times = np.arange(len(speed)) * 0.04
     heading = 0.5 * np.sin(0.3 * times)
-    turns = lie.from_rotation_vector(np.outer(heading, [0.0, 0.0, 1.0]))
+    rotations = lie.from_rotation_vector(np.outer(heading, [0.0, 0.0, 1.0]))
     along = np.stack([np.cos(heading), np.sin(heading), 0.0 * times], axis=1)
     path = np.cumsum(along * speed[:, None], axis=0) * 0.04
     told = np.interp(times - lag_s, times, speed) + generator.normal(0.0, 0.015, len(times))
     path += generator.normal(0.0, 0.0015, path.shape)
     body = np.outer(told, [1.0, 0.0, 0.0])
-    states = OrderedFeed().rows(times, path, turns, body)
+    states = OrderedFeed().rows(times, path, rotations, body)
     return _lag_of(states)
 
 
@@ -422,19 +424,19 @@ def test_a_partner_with_one_state_is_waited_for() -> None:
     assert pair.add(states[:1]) == {}
     assert pair.add_other(states[:1]) == {}
     assert pair.add(states[1:]) == {}
-    found = pair.add_other(states[1:])
+    result = pair.add_other(states[1:])
     assert pair.usable
-    assert set(found) == {
+    assert set(result) == {
         f"pair_{name}s.b" for name in ("percent_5", "percent_20", "deg_5", "deg_20")
     }
-    assert found["pair_percent_5s.b"].values.max() < 1e-6
-    assert found["pair_percent_5s.b"].seconds[-1] == times[-1]
+    assert result["pair_percent_5s.b"].values.max() < 1e-6
+    assert result["pair_percent_5s.b"].seconds[-1] == times[-1]
     # The fault of the partner: it moves 0.5 m aside at 36 s, after a path of 5 s.
     other = positions + np.where(times >= 36.0, 0.5, 0.0)[:, None] * [0.0, 0.0, 1.0]
     pair = PairSignals("pair", 0.1, 30.0)
     pair.add(states)
-    found = pair.add_other(poses(times, other))
-    seconds, values = found["pair_percent_5s"]
+    result = pair.add_other(poses(times, other))
+    seconds, values = result["pair_percent_5s"]
     path_m = 5.0 * np.median(np.linalg.norm(positions[10:] - positions[:-10], axis=1))
     assert values.max() == pytest.approx(100.0 * 0.5 / (1.0 + path_m), rel=0.3)
     assert seconds[values.argmax()] >= 36.0

@@ -46,15 +46,15 @@ def test_healthy_recordings_have_no_alarm() -> None:
     healthy = {name: run for name, run in runs().items() if name not in NOT_HEALTHY}
     assert len(healthy) >= 4
     for name, run in healthy.items():
-        found = health_of(watched(run), 1.0)
-        assert found.episodes == 0, (name, found)
-        assert max(found.largest.values()) < 0.95
+        result = health_of(watched(run), 1.0)
+        assert result.episodes == 0, (name, result)
+        assert max(result.largest.values()) < 0.95
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_healthy_motions_have_no_alarm(motion: str) -> None:
-    found = health_of(watched(simulated(motion, 9700, 300.0)), 1.0)
-    assert found.episodes == 0, found
+    result = health_of(watched(simulated(motion, 9700, 300.0)), 1.0)
+    assert result.episodes == 0, result
 
 
 def test_the_late_twist_of_the_husky_is_told_and_corrected() -> None:
@@ -68,10 +68,10 @@ def test_pairs_tell_where_s_ptam_is_wrong() -> None:
     run = runs()["ros_example/S-PTAM"]
     seen = watched(run)
     truth = read_trajectory(f"{DATA}/bags/ROS_example.bag:/groundtruth")
-    found = evaluate(truth, run.estimate, Protocol(gauge="se3", lengths=("5s",)))
-    assert found.relative is not None
-    errors = found.relative[0].errors
-    ends = found.association.estimate.stamps[errors.ends]
+    result = evaluate(truth, run.estimate, Protocol(gauge="se3", lengths=("5s",)))
+    assert result.relative is not None
+    errors = result.relative[0].errors
+    ends = result.association.estimate.stamps[errors.ends]
     seconds, values = seen.signals["pair_percent_5s"]
     stamps = seen.origin + np.rint(seconds * 1e9).astype(np.int64)
     _, own, other = np.intersect1d(stamps, ends, return_indices=True)
@@ -84,10 +84,10 @@ def test_pairs_tell_where_s_ptam_is_wrong() -> None:
 
 
 def test_the_table_of_faults() -> None:
-    found = detections(list(halves()), 1.0, onsets=2)
+    result = detections(list(halves()), 1.0, onsets=2)
 
     def share_and_delay(fault: str, label: str) -> tuple[float, float]:
-        delays = [np.inf if item is None else item for item in found[fault][label]]
+        delays = [np.inf if item is None else item for item in result[fault][label]]
         hits = np.isfinite(delays)
         return float(np.mean(hits)), float(np.median(np.array(delays)[hits]))
 
@@ -97,9 +97,9 @@ def test_the_table_of_faults() -> None:
         assert delay_s <= most_s
     for fault in ("twist x 0.8", "twist x 0.95", "twist in world axes"):
         assert share_and_delay(fault, "+ twist")[0] == 1.0
-        assert np.mean([item is not None for item in found[fault]["+ IMU"]]) <= 0.1
+        assert np.mean([item is not None for item in result[fault]["+ IMU"]]) <= 0.1
     for fault in ("freeze", "coasting, rotation alive", "coasting, rotation stopped"):
-        for label in found[fault]:
+        for label in result[fault]:
             share, delay_s = share_and_delay(fault, label)
             assert share >= 0.9
             assert delay_s <= 1.0

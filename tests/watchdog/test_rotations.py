@@ -15,8 +15,8 @@ AXIS = np.array([0.6, 0.0, 0.8])
 
 def test_the_difference_is_from_the_start_to_the_end() -> None:
     start, end = Rotation.random(7, random_state=1), Rotation.random(7, random_state=2)
-    found = Rotation.from_quat(between(start.as_quat(), end.as_quat()))
-    assert ((start.inv() * end).inv() * found).magnitude().max() < 1e-12
+    result = Rotation.from_quat(between(start.as_quat(), end.as_quat()))
+    assert ((start.inv() * end).inv() * result).magnitude().max() < 1e-12
 
 
 @pytest.mark.parametrize("across", [0.0, 0.01])
@@ -27,9 +27,9 @@ def test_noise_about_other_axes_is_no_rotation(across: float) -> None:
     own, other = (
         np.outer(angles, AXIS) + across * generator.normal(size=(500, 3)) for _ in range(2)
     )
-    found = only_axis(own, MOUNTED.apply(other))
-    assert found is not None
-    assert abs(found @ AXIS) == pytest.approx(1.0, abs=1e-4)
+    result = only_axis(own, MOUNTED.apply(other))
+    assert result is not None
+    assert abs(result @ AXIS) == pytest.approx(1.0, abs=1e-4)
 
 
 @pytest.mark.parametrize(("factor", "is_only"), [(0.9, True), (1.1, False)])
@@ -45,5 +45,5 @@ def test_rotations_that_both_sources_measure_are_real(factor: float, *, is_only:
         + np.outer(shared + np.sqrt(1.0 - reliability) * generator.normal(size=40_000), across)
         for _ in range(2)
     ]
-    found = only_axis(0.01 * sides[0], MOUNTED.apply(0.01 * sides[1]))
-    assert (found is not None) == is_only
+    result = only_axis(0.01 * sides[0], MOUNTED.apply(0.01 * sides[1]))
+    assert (result is not None) == is_only

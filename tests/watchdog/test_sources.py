@@ -27,20 +27,20 @@ def test_corrections_are_of_the_robot_not_of_the_map_s_origin() -> None:
     stamps = run.estimate.stamps[::4]
     late = stamps - stamps[0] >= 50 * SECOND
     turn_deg, moved = 2.0, np.array([0.3, -0.1, 0.0])
-    turns = np.outer(np.where(late, np.radians(turn_deg), 0.0), [0.0, 0.0, 1.0])
-    corrections = Trajectory(stamps, late[:, None] * moved, lie.from_rotation_vector(turns))
-    found = watched(WatchedRun(run.estimate, corrections=corrections)).signals
+    rotations = np.outer(np.where(late, np.radians(turn_deg), 0.0), [0.0, 0.0, 1.0])
+    corrections = Trajectory(stamps, late[:, None] * moved, lie.from_rotation_vector(rotations))
+    result = watched(WatchedRun(run.estimate, corrections=corrections)).signals
     first = int(np.argmax(late))
     robot = run.estimate.positions[4 * first]
-    expected = lie.rotate(lie.from_rotation_vector(turns[first])[None], robot[None])[0]
+    expected = lie.rotate(lie.from_rotation_vector(rotations[first])[None], robot[None])[0]
     expected_m = np.linalg.norm(expected + moved - robot)
-    seconds, values = found["map_correction_m_1s"]
+    seconds, values = result["map_correction_m_1s"]
     over = values > 1e-6
     assert values[over][0] == pytest.approx(expected_m, rel=1e-6)
     span = seconds[over]
     assert span[0] == pytest.approx((stamps[first] - run.estimate.stamps[0]) / SECOND)
     assert np.ptp(span) == pytest.approx(1.0, abs=0.25)
-    angles = found["map_correction_deg_1s"].values
+    angles = result["map_correction_deg_1s"].values
     np.testing.assert_allclose(angles, np.where(over, turn_deg, 0.0), atol=1e-4)
 
 
@@ -62,8 +62,8 @@ def test_a_transform_holds_until_the_next_one(portions: int, stands_s: int) -> N
         parts.append(
             watchdog.add_states(stamps[rows], flown.positions[own], flown.quaternions[own])
         )
-    found = joined(parts)
-    seconds, values = found["map_correction_m_1s"]
+    result = joined(parts)
+    seconds, values = result["map_correction_m_1s"]
     np.testing.assert_allclose(seconds, [52.03])
     np.testing.assert_allclose(values, [0.7])
 
@@ -72,14 +72,14 @@ def test_transforms_that_come_late_are_judged_where_the_robot_was() -> None:
     estimate = flight().estimate
     assert estimate.quaternions is not None
     stamps = estimate.stamps[0] + np.array([5000, 52_010, 52_020, 52_030]) * SECOND // 1000
-    turns = lie.from_rotation_vector(np.outer([0.0, 0.5, 1.0, 1.5], [0.0, 0.0, 1.0]))
-    corrections = Trajectory(stamps, np.zeros((4, 3)), turns)
+    rotations = lie.from_rotation_vector(np.outer([0.0, 0.5, 1.0, 1.5], [0.0, 0.0, 1.0]))
+    corrections = Trajectory(stamps, np.zeros((4, 3)), rotations)
     expected = watched(WatchedRun(estimate, corrections=corrections)).signals
     watchdog = Watchdog(int(estimate.stamps[0]))
     parts = [watchdog.add_states(estimate.stamps, estimate.positions, estimate.quaternions)]
     for row in range(4):
         one = slice(row, row + 1)
-        parts.append(watchdog.add_source("map", stamps[one], np.zeros((1, 3)), turns[one]))
+        parts.append(watchdog.add_source("map", stamps[one], np.zeros((1, 3)), rotations[one]))
     name = "map_correction_m_1s"
     values = joined(parts)[name].values
     assert len(values) == 3
@@ -129,12 +129,12 @@ def test_a_wrong_correction_is_an_alarm_of_the_map_alone(tmp_path: Path) -> None
     for corrections in ("/map_to_odom", "/tf:map.odom"):
         command = ["watch", *all_sources(bad, corrections), "--json", str(output), "--quiet"]
         assert main([*command, "--fail-on", "alarm"]) == 1
-        found = json.loads(output.read_text())
-        [alarm] = found["alarms"]
+        result = json.loads(output.read_text())
+        [alarm] = result["alarms"]
         assert alarm["signal"] == "map_correction_m_1s"
         assert alarm["peak"] == pytest.approx(0.4, abs=0.01)
         assert 0 <= alarm["begin_ns"] - 1_700_000_060 * SECOND < SECOND // 5
-        names = {signal["name"] for signal in found["signals"]}
+        names = {signal["name"] for signal in result["signals"]}
         assert {"pair_deg_5s.vio", "pair_deg_5s.wheel", "map_correction_deg_1s"} <= names
 
 

@@ -28,8 +28,8 @@ def test_a_late_twist_is_awaited(lag_s: float) -> None:
     rows = states_with(lag_s)
     signals = TwistSignals(rows[:750])
     assert signals.lag_s == pytest.approx(lag_s, abs=0.026)
-    found = [signals.add(rows[row : row + 1]) for row in range(750, len(rows))]
-    values = [item["twist_m_5s"] for item in found if "twist_m_5s" in item]
+    result = [signals.add(rows[row : row + 1]) for row in range(750, len(rows))]
+    values = [item["twist_m_5s"] for item in result if "twist_m_5s" in item]
     largest = max(float(np.abs(value).max()) for _, value in values if len(value))
     assert largest < 0.1  # the twist before the first state is unknown
     count = sum(len(times) for times, _ in values)

@@ -31,13 +31,13 @@ def test_alarms_have_times_and_the_factor(
     command = ["watch", *watched_sources(bad), "--json", str(tmp_path / "w.json")]
     pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
     assert main([*command, "--fail-on", "alarm", "--figure", str(tmp_path / "w.png")]) == 1
-    said = capsys.readouterr().out
-    assert "gyro_deg_20s" in said
-    assert "factor: 1. If this run is healthy, use --factor " in said
-    found = json.loads((tmp_path / "w.json").read_text())
-    assert found["schema"] == "trajeval-watch/3"
-    assert found["factor"] == 1.0
-    begin = min(alarm["begin_ns"] for alarm in found["alarms"])
+    text = capsys.readouterr().out
+    assert "gyro_deg_20s" in text
+    assert "factor: 1. If this run is healthy, use --factor " in text
+    result = json.loads((tmp_path / "w.json").read_text())
+    assert result["schema"] == "trajeval-watch/3"
+    assert result["factor"] == 1.0
+    begin = min(alarm["begin_ns"] for alarm in result["alarms"])
     onset = 1_700_000_050 * SECOND
     assert 0 <= begin - onset < 6 * SECOND
     assert (tmp_path / "w.png").read_bytes().startswith(b"\x89PNG")
@@ -55,10 +55,10 @@ def test_the_printed_factor_makes_a_run_healthy(
     needed = capsys.readouterr().out.split("--factor ")[1].split()[0]
     command = ["watch", *watched_sources(bad), "--factor", needed, "--fail-on", "alarm"]
     assert main(command) == 0
-    said = capsys.readouterr().out
-    assert f"factor: {needed}" in said
-    assert "use --factor" not in said
-    assert "fewer than" in said
+    text = capsys.readouterr().out
+    assert f"factor: {needed}" in text
+    assert "use --factor" not in text
+    assert "fewer than" in text
 
 
 def test_json_alone_on_stdout(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,10 +68,10 @@ def test_json_alone_on_stdout(good: Path, capsys: pytest.CaptureFixture[str]) ->
 
 def fails(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     assert main(["watch", *arguments]) == 2
-    said = capsys.readouterr()
-    assert not said.out
-    assert said.err.count("\n") == 1
-    return said.err
+    text = capsys.readouterr()
+    assert not text.out
+    assert text.err.count("\n") == 1
+    return text.err
 
 
 def test_values_that_are_not_valid(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,22 +99,22 @@ def test_no_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_imu_messages_are_read_as_they_were_written(good: Path) -> None:
     expected = imu_readings(simulate(3, 75.0).groundtruth, 3)
-    found = read_rates(good, "/imu")
+    result = read_rates(good, "/imu")
     assert expected.accelerations is not None
-    assert found.accelerations is not None
-    np.testing.assert_array_equal(found.stamps, expected.stamps)
-    np.testing.assert_array_equal(found.rates, expected.rates)
-    np.testing.assert_array_equal(found.accelerations, expected.accelerations)
-    assert found.frame == "base_link"
+    assert result.accelerations is not None
+    np.testing.assert_array_equal(result.stamps, expected.stamps)
+    np.testing.assert_array_equal(result.rates, expected.rates)
+    np.testing.assert_array_equal(result.accelerations, expected.accelerations)
+    assert result.frame == "base_link"
 
 
 def test_imu_messages_that_cannot_be_used_are_counted() -> None:
     rates, force = np.zeros((3, 3)), np.zeros((3, 3))
     rates[1, 0] = np.nan
     rows = encode_imu(np.arange(3) * SECOND, rates, force, "imu")
-    found = decode_rates([*map(bytes, rows), b"\0\1"])
-    assert len(found) == 2
-    assert found.undecodable == 2
+    result = decode_rates([*map(bytes, rows), b"\0\1"])
+    assert len(result) == 2
+    assert result.undecodable == 2
 
 
 def test_imu_messages_are_those_of_ros(good: Path) -> None:
@@ -140,8 +140,8 @@ def test_the_picture_has_the_path_the_signals_and_the_alarms(tmp_path: Path) -> 
     picture, output = tmp_path / "watch.rrd", tmp_path / "watch.json"
     command = ["watch", *watched_sources(bad), "--quiet"]
     assert main([*command, "--rrd", str(picture), "--json", str(output)]) == 0
-    drawn, found = Rrd(picture), json.loads(output.read_text())
-    signals = {item["name"]: item for item in found["signals"]}
+    drawn, result = Rrd(picture), json.loads(output.read_text())
+    signals = {item["name"]: item for item in result["signals"]}
     assert {f"watch/pair/{name}" for name in signals if name.startswith("pair")} <= drawn.entities
     stamps, ratios = drawn.numbers("watch/pair/pair_percent_5s")
     signal = signals["pair_percent_5s"]
@@ -149,12 +149,12 @@ def test_the_picture_has_the_path_the_signals_and_the_alarms(tmp_path: Path) -> 
     assert stamps[ratios.argmax()] == signal["stamp_ns"]
     _, limit = drawn.numbers("watch/imu/limit")
     assert limit.tolist() == [1.0, 1.0]
-    times, said = drawn.rows("events", "TextLog:text")
+    times, message = drawn.rows("events", "TextLog:text")
     _, levels = drawn.rows("events", "TextLog:level")
-    for [text], [level] in zip(said, levels, strict=True):
+    for [text], [level] in zip(message, levels, strict=True):
         assert (level == "WARN") is text.startswith(("error: ", "warning: "))
-    told = dict(zip([str(item[0]) for item in said], times.tolist(), strict=True))
-    for alarm in found["alarms"]:
+    told = dict(zip([str(item[0]) for item in message], times.tolist(), strict=True))
+    for alarm in result["alarms"]:
         [time] = [
             at for text, at in told.items() if f"{alarm['level']}: {alarm['signal']} " in text
         ]

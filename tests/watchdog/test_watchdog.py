@@ -74,12 +74,12 @@ def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
     }
     parts: list[Signals] = []
     starts = dict.fromkeys(columns, 0)
-    for turn in range(max(map(len, ends.values()))):
+    for rotation in range(max(map(len, ends.values()))):
         for source, (add, arrays) in columns.items():
-            if turn < len(ends[source]):
-                rows = slice(starts[source], ends[source][turn])
+            if rotation < len(ends[source]):
+                rows = slice(starts[source], ends[source][rotation])
                 parts.append(add(*(array[rows] for array in arrays)))  # type: ignore[operator]
-                starts[source] = ends[source][turn]
+                starts[source] = ends[source][rotation]
     return joined(parts)
 
 
@@ -99,8 +99,8 @@ def test_portions_and_arrival_change_nothing(data: st.DataObject) -> None:
     ):
         cuts = data.draw(st.lists(st.integers(1, count), max_size=12, unique=True), label=name)
         ends[name] = [*sorted(cuts), count]
-    found = fed_in_portions(run, ends)
-    assert_same(found, seen().signals)
+    result = fed_in_portions(run, ends)
+    assert_same(result, seen().signals)
 
 
 @pytest.mark.slow
@@ -153,16 +153,16 @@ def test_gauge_body_and_scale_of_the_partner_change_nothing(
     frame: Floats, body: Floats, lever: Floats, scale: float
 ) -> None:
     run = flight()
-    turned = moved(
+    rotated = moved(
         run.partners["pair"],
         lie.from_rotation_vector(frame),
         lie.from_rotation_vector(body),
         lever,
         scale,
     )
-    found = watched(WatchedRun(run.estimate, partners={"pair": turned})).signals
-    assert len(found) > 0
-    for name, (_, values) in found.items():
+    result = watched(WatchedRun(run.estimate, partners={"pair": rotated})).signals
+    assert len(result) > 0
+    for name, (_, values) in result.items():
         if name.startswith("pair_deg"):
             # The prior of the lever arm and the weights of lengths differ by the body and scale.
             np.testing.assert_allclose(values, seen().signals[name].values, atol=0.02)
@@ -170,16 +170,16 @@ def test_gauge_body_and_scale_of_the_partner_change_nothing(
 
 def test_frame_and_scale_of_the_partner_change_nothing_to_the_digit() -> None:
     run = flight()
-    turned = moved(
+    rotated = moved(
         run.partners["pair"],
         lie.from_rotation_vector(np.array([0.3, -1.0, 2.0])),
         np.array([0.0, 0.0, 0.0, 1.0]),
         np.zeros(3),
         3.0,
     )
-    found = watched(WatchedRun(run.estimate, partners={"pair": turned})).signals
-    assert len(found) > 0
-    for name, (_, values) in found.items():
+    result = watched(WatchedRun(run.estimate, partners={"pair": rotated})).signals
+    assert len(result) > 0
+    for name, (_, values) in result.items():
         if name.startswith("pair"):
             np.testing.assert_allclose(values, seen().signals[name].values, atol=1e-6)
 
@@ -187,21 +187,23 @@ def test_frame_and_scale_of_the_partner_change_nothing_to_the_digit() -> None:
 def test_outliers_of_the_partner_hardly_change_the_body_difference() -> None:
     generator = np.random.default_rng(0)
     count = 800
-    turns = lie.from_rotation_vector(generator.normal(0.0, 0.4, (count, 3)))
+    rotations = lie.from_rotation_vector(generator.normal(0.0, 0.4, (count, 3)))
     rotation = lie.from_rotation_vector(np.array([0.4, -0.2, 1.0]))
     lever, scale = np.array([0.2, -0.1, 0.3]), 0.5
     others = generator.normal(0.0, 1.0, (count, 3))
     steps = scale * lie.rotate(rotation[None], others)
-    steps += lever - lie.rotate(turns, np.broadcast_to(lever, steps.shape))
+    steps += lever - lie.rotate(rotations, np.broadcast_to(lever, steps.shape))
     steps += generator.normal(0.0, 0.01, steps.shape)
-    other_turns = lie.multiply(lie.multiply(lie.conjugate(rotation)[None], turns), rotation[None])
+    other_turns = lie.multiply(
+        lie.multiply(lie.conjugate(rotation)[None], rotations), rotation[None]
+    )
     bad = generator.choice(count, count // 50, replace=False)
     others[bad] += 10.0
     other_turns[bad] = lie.from_rotation_vector(generator.normal(0.0, 1.5, (len(bad), 3)))
-    found = body_difference(turns, steps, other_turns, others)
-    assert found.scale == pytest.approx(scale, rel=0.01)
-    np.testing.assert_allclose(found.lever_m, lever, atol=0.01)
-    assert np.degrees(lie.angle(lie.multiply(lie.conjugate(rotation), found.rotation))) < 0.5
+    result = body_difference(rotations, steps, other_turns, others)
+    assert result.scale == pytest.approx(scale, rel=0.01)
+    np.testing.assert_allclose(result.lever_m, lever, atol=0.01)
+    assert np.degrees(lie.angle(lie.multiply(lie.conjugate(rotation), result.rotation))) < 0.5
 
 
 @pytest.mark.slow
@@ -222,12 +224,12 @@ def test_faults_are_found_soon(fault: str, signals: set[str], within_s: float) -
     run = flight()
     onset = int(run.estimate.stamps[0]) + 50 * SECOND
     bad = FAULTS[fault](run.estimate, onset, np.random.default_rng(1))
-    found = watched(dataclasses.replace(run, estimate=bad))
+    result = watched(dataclasses.replace(run, estimate=bad))
     book = AlarmBook()
     assert not book.add(seen().signals)
     begins: dict[str, float] = {}
-    for alarm in book.add(found.signals):
-        begins.setdefault(alarm.signal, alarm.begin_s - (onset - found.origin) / SECOND)
+    for alarm in book.add(result.signals):
+        begins.setdefault(alarm.signal, alarm.begin_s - (onset - result.origin) / SECOND)
     assert min(begins.values()) >= 0.0
     for name in signals:
         assert begins[name] <= within_s, (name, begins)
@@ -276,19 +278,19 @@ def test_late_messages_are_dropped_and_counted() -> None:
     estimate = flight().estimate
     order = np.arange(len(estimate))
     order[[500, 501]] = [501, 500]
-    found = watched(WatchedRun(estimate[order]))
-    assert any("1 state of" in notice for notice in found.notices)
+    result = watched(WatchedRun(estimate[order]))
+    assert any("1 state of" in notice for notice in result.notices)
 
 
 def test_nothing_is_compared_across_a_gap() -> None:
     run = flight()
     seconds = run.estimate.seconds
     holed = run.estimate[(seconds < 45.0) | (seconds > 49.0)]
-    found = watched(dataclasses.replace(run, estimate=holed)).signals
+    result = watched(dataclasses.replace(run, estimate=holed)).signals
     for name, window_s in (("pair_deg_5s", 5.0), ("gyro_deg_20s", 20.0), ("twist_m_5s", 5.0)):
-        after = found[name].seconds[found[name].seconds > 47.0]
+        after = result[name].seconds[result[name].seconds > 47.0]
         assert after[0] >= 49.0 + window_s
-    gap_s, gap = found["gap"]
+    gap_s, gap = result["gap"]
     assert gap.max() == pytest.approx(80.0, rel=0.05)
     assert gap_s[gap.argmax()] == pytest.approx(49.0, abs=0.1)
 
@@ -307,20 +309,20 @@ def imu_in(axes: Floats, late_ns: int = 0) -> InertialReadings:
 
 def test_an_imu_in_other_axes_is_found_and_said() -> None:
     axes = so3.exp(np.array([0.5, 1.0, -1.2]))
-    found = watched(WatchedRun(flight().estimate, imu=imu_in(axes)))
-    (said,) = [notice for notice in found.notices if "IMU frame is rotated" in notice]
-    told_deg = float(said.split(" deg")[0].split()[-1])
+    result = watched(WatchedRun(flight().estimate, imu=imu_in(axes)))
+    (text,) = [notice for notice in result.notices if "IMU frame is rotated" in notice]
+    told_deg = float(text.split(" deg")[0].split()[-1])
     assert told_deg == pytest.approx(np.degrees(np.linalg.norm([0.5, 1.0, -1.2])), abs=0.3)
     for name in ("gyro_deg_1s", "gyro_deg_20s", "gravity_mps2_5s"):
         np.testing.assert_allclose(
-            found.signals[name].values, seen().signals[name].values, atol=1e-3
+            result.signals[name].values, seen().signals[name].values, atol=1e-3
         )
 
 
 def test_a_clock_offset_of_the_imu_is_found_and_said() -> None:
-    found = watched(WatchedRun(flight().estimate, imu=imu_in(np.eye(3), 200_000_000)))
-    assert any("0.200 s behind the IMU's" in notice for notice in found.notices)
-    assert found.signals["gyro_deg_1s"].values.max() < 0.3
+    result = watched(WatchedRun(flight().estimate, imu=imu_in(np.eye(3), 200_000_000)))
+    assert any("0.200 s behind the IMU's" in notice for notice in result.notices)
+    assert result.signals["gyro_deg_1s"].values.max() < 0.3
 
 
 def test_an_imu_of_another_robot_is_not_compared() -> None:
@@ -328,9 +330,9 @@ def test_an_imu_of_another_robot_is_not_compared() -> None:
     noise = np.random.default_rng(5).normal(0.0, 5.0, other.rates.shape)
     smooth = [np.convolve(column, np.ones(200) / 200.0, "same") for column in noise.T]
     other = dataclasses.replace(other, rates=np.stack(smooth, axis=1))
-    found = watched(WatchedRun(flight().estimate, imu=other))
-    assert any("rotations of IMU and estimate do not agree" in notice for notice in found.notices)
-    assert "gyro_deg_1s" not in found.signals
+    result = watched(WatchedRun(flight().estimate, imu=other))
+    assert any("rotations of IMU and estimate do not agree" in notice for notice in result.notices)
+    assert "gyro_deg_1s" not in result.signals
 
 
 def test_sources_of_another_clock_are_said() -> None:
@@ -338,10 +340,10 @@ def test_sources_of_another_clock_are_said() -> None:
     partner = run.partners["pair"]
     early = dataclasses.replace(partner, stamps=partner.stamps - 3600 * SECOND)
     imu = imu_in(np.eye(3), -3600 * SECOND)
-    found = watched(WatchedRun(run.estimate, imu=imu, partners={"pair": early}))
+    result = watched(WatchedRun(run.estimate, imu=imu, partners={"pair": early}))
     for words in ("no data of the IMU", "no data of the second estimate"):
-        assert any(words in notice for notice in found.notices)
-    assert not any(name.startswith(("pair", "gyro")) for name in found.signals)
+        assert any(words in notice for notice in result.notices)
+    assert not any(name.startswith(("pair", "gyro")) for name in result.signals)
 
 
 def test_an_estimate_without_stamps_or_orientations_is_refused() -> None:
@@ -359,17 +361,17 @@ def test_the_lag_of_a_twist_is_found_and_used() -> None:
     body = lie.rotate(lie.conjugate(estimate.quaternions), estimate.velocities)
     late = np.concatenate([np.tile(body[:1], (6, 1)), body[:-6]])
     slow = dataclasses.replace(estimate, velocities=lie.rotate(estimate.quaternions, late))
-    found = watched(WatchedRun(slow))
-    assert any("the twist is 0.30 s later" in notice for notice in found.notices)
-    assert found.signals["twist_m_5s"].values.max() < 0.05
+    result = watched(WatchedRun(slow))
+    assert any("the twist is 0.30 s later" in notice for notice in result.notices)
+    assert result.signals["twist_m_5s"].values.max() < 0.05
 
 
 def test_a_twist_in_the_worlds_axes_is_said_and_not_judged() -> None:
     estimate = flight().estimate
     wrong = FAULTS["twist in world axes"](estimate, 0, np.random.default_rng(0))
-    found = watched(WatchedRun(wrong))
-    assert any("world frame" in notice for notice in found.notices)
-    assert "twist_m_5s" not in found.signals
+    result = watched(WatchedRun(wrong))
+    assert any("world frame" in notice for notice in result.notices)
+    assert "twist_m_5s" not in result.signals
 
 
 @pytest.mark.parametrize(("factor", "said"), [(3.6, "3.6 times"), (0.5, "0.5 times")])
@@ -377,8 +379,8 @@ def test_the_factor_of_a_twist_is_said(factor: float, said: str) -> None:
     estimate = flight().estimate
     assert estimate.velocities is not None
     wrong = dataclasses.replace(estimate, velocities=factor * estimate.velocities)
-    found = watched(WatchedRun(wrong))
-    (notice,) = [item for item in found.notices if "times the motion of the pose" in item]
+    result = watched(WatchedRun(wrong))
+    (notice,) = [item for item in result.notices if "times the motion of the pose" in item]
     assert said in notice
     assert ("as if it were in km/h" in notice) is (factor == 3.6)
     assert not any("times the motion" in item for item in seen().notices)
@@ -400,9 +402,9 @@ def test_wheels_with_quantised_encoders_in_stop_and_go_have_no_alarm(resolution_
     positions = np.cumsum((0.5 * (left + right))[:, None] * along, axis=0)
     quaternions = lie.from_rotation_vector(np.outer(yaw, [0.0, 0.0, 1.0]))
     estimate = Trajectory(stamps, positions, quaternions, speed[:, None] * along)
-    found = watched(WatchedRun(estimate))
-    assert AlarmBook().add(found.signals) == []
-    assert "smooth" in found.signals
+    result = watched(WatchedRun(estimate))
+    assert AlarmBook().add(result.signals) == []
+    assert "smooth" in result.signals
 
 
 def book_of(values: Floats) -> AlarmBook:

@@ -160,11 +160,15 @@ def _require_body_known(
     calibration: Calibration, protocol: Protocol, request: CalibrationRequest
 ) -> None:
     """Refuse an alignment by orientations if the rotation between the bodies is unknown."""
-    turn = calibration.turn
-    if protocol.align_with == "poses" and request.hand_eye and turn.status in (WEAK, UNOBSERVABLE):
+    rotation = calibration.turn
+    if (
+        protocol.align_with == "poses"
+        and request.hand_eye
+        and rotation.status in (WEAK, UNOBSERVABLE)
+    ):
         raise InputError(
             "--hand-eye auto can't estimate the rotation between the two bodies "
-            f"({turn.reason}), so orientations can't be used for the alignment; use "
+            f"({rotation.reason}), so orientations can't be used for the alignment; use "
             "--align-with positions, or give --hand-eye FILE"
         )
 
@@ -198,11 +202,11 @@ class _Significant:
 
     def significant(self) -> _Significant:
         """Return the parameters that are observable, precise and significant."""
-        offset, turn, lever = (
+        offset, rotation, lever = (
             parameter if parameter is not None and parameter.is_significant else None
             for parameter in (self.offset, self.turn, self.lever)
         )
-        return _Significant(offset, turn, lever, self.known)
+        return _Significant(offset, rotation, lever, self.known)
 
     @property
     def hand_eye(self) -> HandEye | None:

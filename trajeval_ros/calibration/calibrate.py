@@ -228,9 +228,11 @@ def _judged(
             whole=name == "turn",
         )
 
-    turn = unobservable(_NO_TURN)
+    rotation = unobservable(_NO_TURN)
     if increments.has_turns:
-        turn = supported_by_both(verdict("turn", "rad"), increments, solution, systematic.turn_rad)
+        rotation = supported_by_both(
+            verdict("turn", "rad"), increments, solution, systematic.turn_rad
+        )
     offset = verdict("offset", "s")
     if not guess.is_usable:
         offset = unobservable(guess.problem, offset.reliability)
@@ -248,7 +250,7 @@ def _judged(
     return Calibration(
         offset=offset,
         skew=verdict("skew", "s/s") if with_skew else None,
-        turn=turn,
+        turn=rotation,
         lever=verdict("lever", "m") if increments.has_lever else unobservable(_NO_LEVER),
         scale=fitted.unknowns.scale,
         guess=guess,

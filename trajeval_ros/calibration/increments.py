@@ -186,18 +186,18 @@ class Increments:
         if not known.any():
             return start
         if marker.turns is None:
-            turn = robust_rotation(marker_steps, steps, about_z=about_z)
+            rotation = robust_rotation(marker_steps, steps, about_z=about_z)
             moved = float(np.linalg.norm(steps))
             scale = float(np.linalg.norm(marker_steps)) / moved if with_scale and moved else 1.0
-            return replace(start, turn=turn, scale=scale)
+            return replace(start, turn=rotation, scale=scale)
         assert self._body.turns is not None
-        turn = robust_rotation(
+        rotation = robust_rotation(
             lie.rotation_vector(self._body.turns[known]), lie.rotation_vector(marker.turns[known])
         )
         lever_m, scale = lever_arm(
-            self.turned[known], steps, marker_steps @ turn.T, with_scale=with_scale
+            self.turned[known], steps, marker_steps @ rotation.T, with_scale=with_scale
         )
-        return replace(start, turn=turn, lever_m=lever_m, scale=scale)
+        return replace(start, turn=rotation, lever_m=lever_m, scale=scale)
 
     def linearise(self, at: Unknowns) -> Linearised:
         """Return residuals and Jacobian of all increments inside the groundtruth."""
@@ -210,16 +210,16 @@ class Increments:
         slope = self._residual(at, after, rows) - self._residual(at, before, rows)
         jacobian[..., 0] = slope / (2.0 * _REACH_S)
         jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
-        steps, turned = self._body.steps[rows], self.turned[rows]
+        steps, rotated = self._body.steps[rows], self.turned[rows]
         if marker.turns is None:
             jacobian[:, POSITION, TURN] = so3.skew(self._carried(at, rows) @ at.turn.T)
-            jacobian[:, POSITION, LEVER] = -at.turn @ turned
+            jacobian[:, POSITION, LEVER] = -at.turn @ rotated
             jacobian[:, POSITION, 8] = -steps @ at.turn.T
         else:
             jacobian[:, POSITION, TURN] = -so3.skew(marker.steps[rows] @ at.turn.T)
             in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
             jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
-            jacobian[:, POSITION, LEVER] = -turned
+            jacobian[:, POSITION, LEVER] = -rotated
             jacobian[:, POSITION, 8] = -steps
         return Linearised(residual, jacobian, self._since[rows], rows)
 
@@ -247,9 +247,9 @@ class Increments:
             assert after.turns is not None
             assert self._body.turns is not None
             inverse = lie.conjugate(self._body.turns[rows])
-            turned = lie.rotation_vector(lie.multiply(after.turns, inverse))
-            turned -= lie.rotation_vector(lie.multiply(before.turns, inverse))
-            jacobian[:, ROTATION, 0] = turned / (2.0 * reach_s)
+            rotated = lie.rotation_vector(lie.multiply(after.turns, inverse))
+            rotated -= lie.rotation_vector(lie.multiply(before.turns, inverse))
+            jacobian[:, ROTATION, 0] = rotated / (2.0 * reach_s)
             jacobian[:, POSITION, TURN] = -so3.skew(self._carried(at, rows))
             jacobian[:, ROTATION, TURN] = -self.turned[rows]
             marker_turned = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T - np.eye(3)
@@ -301,10 +301,10 @@ class Increments:
         if marker.turns is None:
             return marker.steps[rows] - carried @ at.turn.T
         assert self._body.turns is not None
-        turn = lie.from_matrix(at.turn)
+        rotation = lie.from_matrix(at.turn)
         residual = np.empty((len(rows), 6))
         residual[:, POSITION] = marker.steps[rows] @ at.turn.T - carried
-        in_body = lie.multiply(lie.multiply(turn, marker.turns[rows]), lie.conjugate(turn))
+        in_body = lie.multiply(lie.multiply(rotation, marker.turns[rows]), lie.conjugate(rotation))
         residual[:, ROTATION] = lie.rotation_vector(
             lie.multiply(in_body, lie.conjugate(self._body.turns[rows]))
         )
@@ -320,8 +320,8 @@ class Increments:
         if body.turns is None:
             # The lever arm contributes little to the derivative and is omitted.
             return at.scale * body.steps @ at.turn.T
-        turned = _matrices(body.turns) - np.eye(3)
-        return at.scale * body.steps + turned @ at.lever_m
+        rotated = _matrices(body.turns) - np.eye(3)
+        return at.scale * body.steps + rotated @ at.lever_m
 
     def _from_mid(self, rows: NDArray[np.int64]) -> Floats:
         """Return the times of increments relative to the middle of the run, (N,), s."""

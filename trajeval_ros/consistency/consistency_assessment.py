@@ -216,12 +216,12 @@ def assess_joint(aligned: AlignedStates, covariance: JointCovariance, source: st
     rows = covariance.rows_of(aligned.estimate)
     per_pose, nees, blocks = None, None, None
     if covariance.is_dense:
-        turned = carried(covariance.pose_covariance(rows), aligned.similarity)
+        rotated = carried(covariance.pose_covariance(rows), aligned.similarity)
         if aligned.noise is not None:
             count, item = len(errors), np.arange(len(errors))
-            blocks_of = turned.reshape(count, POSE_DOF, count, POSE_DOF)
+            blocks_of = rotated.reshape(count, POSE_DOF, count, POSE_DOF)
             blocks_of[item, :, item] += aligned.noise
-        projected = transformation.covariance(turned)
+        projected = transformation.covariance(rotated)
         value = joint_nees(errors, projected, transformation.normals)
         first = aligned.first_with_nees
         blocks = diagonal_blocks(projected, POSE_DOF)
@@ -270,12 +270,14 @@ def _blocks_of_banded(
     transformation: STransformation,
 ) -> Floats:
     """Return the poses' own blocks (M, 6, 6) in the alignment's gauge, for runs of any length."""
-    turn, seen = turning(similarity, POSE_DOF), covariance.pose_rows(rows)
+    rotation, seen = turning(similarity, POSE_DOF), covariance.pose_rows(rows)
     columns = np.zeros((len(covariance.stamps) * covariance.block, transformation.orbit.shape[2]))
-    columns[seen] = np.swapaxes(transformation.pull @ turn, 1, 2).reshape(len(seen), -1)
+    columns[seen] = np.swapaxes(transformation.pull @ rotation, 1, 2).reshape(len(seen), -1)
     solved = banded.solved(columns)[seen].reshape(len(rows), POSE_DOF, -1)
     marginals = banded.marginals(rows * covariance.block, POSE_DOF)
-    return transformation.blocks(turn @ marginals @ turn.T, np.swapaxes(solved, 1, 2) @ turn.T)
+    return transformation.blocks(
+        rotation @ marginals @ rotation.T, np.swapaxes(solved, 1, 2) @ rotation.T
+    )
 
 
 def assess_marginals(

@@ -88,8 +88,8 @@ class CovarianceRequest:
         from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 
         rotations = lie.to_matrix(estimate.quaternions)
-        turned = world_from_body_rotations(estimate.covariances, rotations)
-        return replace(estimate, covariances=turned)
+        rotated = world_from_body_rotations(estimate.covariances, rotations)
+        return replace(estimate, covariances=rotated)
 
     def of_moved_groundtruth(self, hand_eye: HandEye) -> CovarianceRequest:
         """Return the request for groundtruth that was moved from a marker to the body."""

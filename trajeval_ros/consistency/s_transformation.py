@@ -59,8 +59,8 @@ class STransformation:
         centred = aligned.positions - weights @ aligned.positions
         orbit = orbit_basis(gauge, centred)
         if align_states == 1 and gauge is not Gauge.NONE:
-            turn = _turns_between(groundtruth[:1], aligned[:1])[0]
-            normals = first_state_normals(gauge, len(aligned), turn)
+            rotation = _turns_between(groundtruth[:1], aligned[:1])[0]
+            normals = first_state_normals(gauge, len(aligned), rotation)
         else:
             normals = least_squares_normals(
                 gauge, groundtruth.positions, aligned.positions, weights
@@ -138,12 +138,12 @@ def carried(covariance: Floats, similarity: Similarity) -> Floats:
 
     It is of left perturbations in the estimate's frame. The alignment's scale acts on positions.
     """
-    turn = turning(similarity, POSE_DOF)
+    rotation = turning(similarity, POSE_DOF)
     if covariance.ndim == 3:
-        return np.asarray(turn @ covariance @ turn.T)
+        return np.asarray(rotation @ covariance @ rotation.T)
     size = len(covariance)
-    rows = (turn @ covariance.reshape(-1, POSE_DOF, size)).reshape(size, size)
-    return np.asarray((turn @ rows.T.reshape(-1, POSE_DOF, size)).reshape(size, size).T)
+    rows = (rotation @ covariance.reshape(-1, POSE_DOF, size)).reshape(size, size)
+    return np.asarray((rotation @ rows.T.reshape(-1, POSE_DOF, size)).reshape(size, size).T)
 
 
 def turning(similarity: Similarity, block: int) -> Floats:
@@ -159,9 +159,9 @@ def carried_information(
     information: scipy.sparse.csr_matrix, similarity: Similarity, block: int
 ) -> scipy.sparse.csr_matrix:
     """Return T^-T Lambda T^-1 (n, n): an information matrix rotated with its states."""
-    turn = np.linalg.inv(turning(similarity, block)).T
+    rotation = np.linalg.inv(turning(similarity, block)).T
     count = information.shape[0] // block
-    blocks = scipy.sparse.kron(scipy.sparse.eye(count), turn, format="csr")
+    blocks = scipy.sparse.kron(scipy.sparse.eye(count), rotation, format="csr")
     return (blocks @ information @ blocks.T).tocsr()
 
 

@@ -82,8 +82,8 @@ class Rotations:
 
     def plus(self, states: Floats, steps: Floats) -> Floats:
         """Return rotations (N, 3, 3) perturbed by rotation vectors (N, 3) on the right."""
-        turned: Floats = states @ so3.exp(steps)
-        return turned
+        rotated: Floats = states @ so3.exp(steps)
+        return rotated
 
     def inverse_jacobians(self, steps: Floats) -> tuple[Floats, Floats]:
         """Return J_r^-1 and J_l^-1 (N, 3, 3); one is the transpose of the other."""

@@ -245,10 +245,10 @@ class GPSegments:
         while True:
             rows = _rows(len(samples), size, breaks)
             middle = rows[:, rows.shape[1] // 2]
-            turns = so3.log(
+            rotations = so3.log(
                 se3.transposed(samples.poses[middle, None, :3, :3]) @ samples.poses[rows, :3, :3]
             )
-            if size <= _SMALLEST or np.linalg.norm(turns, axis=-1).max() < MOST_TURN_RAD:
+            if size <= _SMALLEST or np.linalg.norm(rotations, axis=-1).max() < MOST_TURN_RAD:
                 break
             size = max(size * 3 // 4 // 2 * 2, _SMALLEST)
         references, poses = samples.poses[middle], samples.poses[rows]
@@ -256,7 +256,7 @@ class GPSegments:
             coordinates = se3.log(se3.inverse(references)[:, None] @ poses)
         else:
             moved = poses[..., :3, 3] - references[:, None, :3, 3]
-            coordinates = np.concatenate([moved, turns], axis=-1)
+            coordinates = np.concatenate([moved, rotations], axis=-1)
         return cls(rows, samples.times[rows], references, coordinates, joint)
 
     def __len__(self) -> int:

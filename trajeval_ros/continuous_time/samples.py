@@ -115,8 +115,8 @@ class Samples:
 
     def step_turns(self) -> Floats:
         """Return the angles (N - 1,) between neighbours, rad."""
-        turns = se3.transposed(self.poses[:-1, :3, :3]) @ self.poses[1:, :3, :3]
-        angles: Floats = np.linalg.norm(so3.log(turns), axis=1)
+        rotations = se3.transposed(self.poses[:-1, :3, :3]) @ self.poses[1:, :3, :3]
+        angles: Floats = np.linalg.norm(so3.log(rotations), axis=1)
         return angles
 
     def _merged(self) -> Samples:
@@ -140,8 +140,8 @@ class Samples:
             return sums / counts.reshape(-1, *([1] * (columns.ndim - 1)))
 
         base = self.poses[first, :3, :3]
-        turns = means(so3.log(se3.transposed(base[group]) @ self.poses[:, :3, :3]))
-        poses = se3.poses(base @ so3.exp(turns), means(self.poses[:, :3, 3]))
+        rotations = means(so3.log(se3.transposed(base[group]) @ self.poses[:, :3, :3]))
+        poses = se3.poses(base @ so3.exp(rotations), means(self.poses[:, :3, 3]))
         return Samples(
             self.origin,
             means(self.times),

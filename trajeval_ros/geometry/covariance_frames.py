@@ -24,9 +24,9 @@ def world_from_body_twists(covariances: Floats, rotations: Floats) -> Floats:
 
     Rotations (N, 3, 3) are from body to world.
     """
-    turn = np.zeros((*rotations.shape[:-2], 6, 6))
-    turn[..., :3, :3] = turn[..., 3:, 3:] = rotations
-    return se3.congruent(turn, covariances)
+    rotation = np.zeros((*rotations.shape[:-2], 6, 6))
+    rotation[..., :3, :3] = rotation[..., 3:, 3:] = rotations
+    return se3.congruent(rotation, covariances)
 
 
 def body_from_world_positions(covariances: Floats, rotations: Floats) -> Floats:
@@ -42,10 +42,10 @@ def world_from_body_rotations(covariances: Floats, rotations: Floats) -> Floats:
 
     Only the rotation is converted; rotations (N, 3, 3) are from body to world.
     """
-    turned = covariances.copy()
-    turned[:, 3:] = rotations @ covariances[:, 3:]
-    result: Floats = turned.copy()
-    result[:, :, 3:] = turned[:, :, 3:] @ np.swapaxes(rotations, 1, 2)
+    rotated = covariances.copy()
+    rotated[:, 3:] = rotations @ covariances[:, 3:]
+    result: Floats = rotated.copy()
+    result[:, :, 3:] = rotated[:, :, 3:] @ np.swapaxes(rotations, 1, 2)
     return result
 
 
@@ -63,10 +63,10 @@ def world_from_body_rotations_jointly(
     """
     blocks = np.tile(np.eye(block), (len(rotations), 1, 1))
     blocks[:, 3:6, 3:6] = rotations
-    turn = scipy.sparse.block_diag(blocks, format="csr")
+    rotation = scipy.sparse.block_diag(blocks, format="csr")
     # The conversion is orthogonal, so that both matrices transform alike.
-    if covariance is not None and covariance.shape == turn.shape:
-        covariance = np.asarray((turn @ (turn @ covariance).T).T)
+    if covariance is not None and covariance.shape == rotation.shape:
+        covariance = np.asarray((rotation @ (rotation @ covariance).T).T)
     if information is not None:
-        information = (turn @ information @ turn.T).tocsr()
+        information = (rotation @ information @ rotation.T).tocsr()
     return covariance, information

@@ -34,8 +34,8 @@ def with_world_axes(trajectory: Trajectory, axes: str) -> Trajectory:
     up = trajectory.up
     if up.name == _UP[axes] and up.name != "z":
         raise InputError(f"its fixed frame already has {axes} axes: the vertical axis is {up}")
-    turned = Similarity(_turn_to(axes), np.zeros(3)).trajectory(trajectory)
-    return dataclasses.replace(turned, up=UpAxis(_UP[axes], f"converted to {axes} axes"))
+    rotated = Similarity(_turn_to(axes), np.zeros(3)).trajectory(trajectory)
+    return dataclasses.replace(rotated, up=UpAxis(_UP[axes], f"converted to {axes} axes"))
 
 
 def with_body_axes(trajectory: Trajectory, axes: str) -> Trajectory:
@@ -47,8 +47,8 @@ def with_body_axes(trajectory: Trajectory, axes: str) -> Trajectory:
     if trajectory.quaternions is None:
         raise InputError("no orientations, which the conversion of body axes needs")
     # Poses with the new axes are T_W_B T_B_new; `of_body` multiplies by the inverse.
-    turn = HandEye(lie.from_matrix(_turn_to(axes)), np.zeros(3))
-    return turn.of_body(trajectory)
+    rotation = HandEye(lie.from_matrix(_turn_to(axes)), np.zeros(3))
+    return rotation.of_body(trajectory)
 
 
 def _turn_to(axes: str) -> Floats:
@@ -60,11 +60,11 @@ def upright(trajectory: Trajectory) -> Trajectory:
     up = trajectory.up
     if up.name == "z":
         return trajectory
-    turn, both = up.matrix, np.kron(np.eye(2), up.matrix)
+    rotation, both = up.matrix, np.kron(np.eye(2), up.matrix)
     quaternions, velocities = trajectory.quaternions, trajectory.velocities
     covariances, reading = trajectory.covariances, trajectory.reading
     if reading.matrices is not None:
-        reading = dataclasses.replace(reading, matrices=turn @ reading.matrices)
+        reading = dataclasses.replace(reading, matrices=rotation @ reading.matrices)
     axes = ", ".join("xyz"[axis] for axis in up.level)
     sentence = (
         f"vertical axis {up.name} ({up.origin}): evaluated in a frame with the axes {axes}, "
@@ -75,7 +75,7 @@ def upright(trajectory: Trajectory) -> Trajectory:
         positions=up.turned(trajectory.positions),
         quaternions=None
         if quaternions is None
-        else lie.normalized(lie.multiply(lie.from_matrices(turn[None]), quaternions)),
+        else lie.normalized(lie.multiply(lie.from_matrices(rotation[None]), quaternions)),
         velocities=None if velocities is None else up.turned(velocities),
         covariances=None if covariances is None else both @ covariances @ both.T,
         up=UpAxis("z", f"{ROTATED_FROM}{up.name}, {up.origin}"),

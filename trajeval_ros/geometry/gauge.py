@@ -61,8 +61,8 @@ class Similarity:
 
     def quaternions(self, quaternions: Floats) -> Floats:
         """Return transformed orientations, (N, 4) xyzw: R_i -> R R_i."""
-        turn = lie.from_matrix(self.rotation)
-        return lie.by_blocks(lambda rows: (lie.multiply(turn, rows),), quaternions)[0]
+        rotation = lie.from_matrix(self.rotation)
+        return lie.by_blocks(lambda rows: (lie.multiply(rotation, rows),), quaternions)[0]
 
     def trajectory(self, trajectory: Trajectory) -> Trajectory:
         """Return transformed states, eq. (14); biases are in the body frame and do not change."""
@@ -80,8 +80,8 @@ class Similarity:
 
     def vectors(self, vectors: Floats) -> Floats:
         """Return free vectors (N, 3), such as velocities, scaled and rotated."""
-        turned: Floats = vectors @ self.linear.T
-        return turned
+        rotated: Floats = vectors @ self.linear.T
+        return rotated
 
     @property
     def rotation_xyzw(self) -> Floats:
@@ -218,10 +218,10 @@ def orbit_basis(gauge: Gauge, positions: Floats) -> Floats:
     basis = np.zeros((len(positions), POSE_DOF, dimension(gauge)))
     if gauge is Gauge.NONE:
         return basis
-    turns = len(axes)
-    basis[:, :3, :turns] = np.cross(axes, positions[:, None]).swapaxes(1, 2)
-    basis[:, 3:6, :turns] = axes.T
-    basis[:, :3, turns : turns + 3] = np.eye(3)
+    rotations = len(axes)
+    basis[:, :3, :rotations] = np.cross(axes, positions[:, None]).swapaxes(1, 2)
+    basis[:, 3:6, :rotations] = axes.T
+    basis[:, :3, rotations : rotations + 3] = np.eye(3)
     if gauge.has_scale:
         basis[:, :3, -1] = positions
     return basis
@@ -234,10 +234,10 @@ def first_state_normals(gauge: Gauge, count: int, first_turn: Floats) -> Floats:
     pose, rad. V is (N, 6, k), zero for all poses except the first.
     """
     axes = _axes(gauge)
-    turns = len(axes)
+    rotations = len(axes)
     normals = np.zeros((count, POSE_DOF, dimension(gauge)))
-    normals[0, :3, turns:] = np.eye(3)
-    normals[0, 3:6, :turns] = (axes @ so3.inverse_left_jacobian(first_turn)).T
+    normals[0, :3, rotations:] = np.eye(3)
+    normals[0, 3:6, :rotations] = (axes @ so3.inverse_left_jacobian(first_turn)).T
     return normals
 
 
@@ -250,15 +250,15 @@ def least_squares_normals(
     the sum 1 and are zero for states outside the alignment. The rows of the rotation are zero.
     """
     axes = _axes(gauge)
-    turns = len(axes)
+    rotations = len(axes)
     normals = np.zeros((len(groundtruth), POSE_DOF, dimension(gauge)))
     if gauge is Gauge.NONE:
         return normals
     p = groundtruth - weights @ groundtruth
     q = aligned - weights @ aligned
     weight = weights[:, None]
-    normals[:, :3, :turns] = weight[:, None] * np.cross(p[:, None], axes).swapaxes(1, 2)
-    normals[:, :3, turns : turns + 3] = weight[:, None] * np.eye(3)
+    normals[:, :3, :rotations] = weight[:, None] * np.cross(p[:, None], axes).swapaxes(1, 2)
+    normals[:, :3, rotations : rotations + 3] = weight[:, None] * np.eye(3)
     if gauge.has_scale:
         normals[:, :3, -1] = weight * (p - 2.0 * q)
     return normals

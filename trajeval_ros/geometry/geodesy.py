@@ -93,9 +93,9 @@ def is_earth_centred(positions: Floats) -> bool:
 
 def turned_covariances(covariances: Floats, places: Floats, datum: Datum) -> Floats:
     """Return covariances (N, 3, 3) about the places' east, north and up in a datum's frame."""
-    turns = _axes(datum.coordinates) @ np.swapaxes(_axes(places), -1, -2)
-    turned: Floats = turns @ covariances @ np.swapaxes(turns, -1, -2)
-    return turned
+    rotations = _axes(datum.coordinates) @ np.swapaxes(_axes(places), -1, -2)
+    rotated: Floats = rotations @ covariances @ np.swapaxes(rotations, -1, -2)
+    return rotated
 
 
 def _earth_fixed(places: Floats) -> Floats:

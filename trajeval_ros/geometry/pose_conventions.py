@@ -88,9 +88,9 @@ class Conventions:
 
 def mirrored_quaternions(quaternions: Floats, axes: Floats) -> Floats:
     """Return the quaternions (N, 4) of M R M^T, M a signed permutation (3, 3) of either hand."""
-    turned = quaternions.copy()
-    turned[:, :3] = np.linalg.det(axes) * quaternions[:, :3] @ axes.T
-    return turned
+    rotated = quaternions.copy()
+    rotated[:, :3] = np.linalg.det(axes) * quaternions[:, :3] @ axes.T
+    return rotated
 
 
 def _corrected(reading: SourceInfo, sentence: str) -> SourceInfo:

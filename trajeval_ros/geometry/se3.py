@@ -31,8 +31,8 @@ def poses(rotations: Floats, positions: Floats) -> Floats:
 
 def inverse(pose: Floats) -> Floats:
     """Return the inverse motions (..., 4, 4)."""
-    turned = transposed(pose[..., :3, :3])
-    return poses(turned, -times(turned, pose[..., :3, 3]))
+    rotated = transposed(pose[..., :3, :3])
+    return poses(rotated, -times(rotated, pose[..., :3, 3]))
 
 
 def exp(twist: Floats) -> Floats:
@@ -61,8 +61,8 @@ def left_jacobian(twist: Floats) -> Floats:
 
 def inverse_left_jacobian(twist: Floats) -> Floats:
     """Return the inverse of J_l (..., 6, 6), for angles below 2 pi."""
-    turn = so3.inverse_left_jacobian(twist[..., 3:])
-    return _triangular(turn, -turn @ _coupling(twist) @ turn)
+    rotation = so3.inverse_left_jacobian(twist[..., 3:])
+    return _triangular(rotation, -rotation @ _coupling(twist) @ rotation)
 
 
 def log_determinant(rotation: Floats) -> Floats:

@@ -193,16 +193,16 @@ class Trajectory:
         """
         places = numbers(positions, "positions")
         require_shape(places, "positions", (None, 3))
-        turns = None if quaternions is None else numbers(quaternions, "quaternions")
-        if turns is not None:
-            require_shape(turns, "quaternions", (len(places), 4))
-            turns = np.roll(turns, -1, axis=1) if wxyz else turns
+        rotations = None if quaternions is None else numbers(quaternions, "quaternions")
+        if rotations is not None:
+            require_shape(rotations, "quaternions", (len(places), 4))
+            rotations = np.roll(rotations, -1, axis=1) if wxyz else rotations
         times = stamps_of(seconds, stamps, len(places))
         reading = NOT_READ
         if times is None:
             rows = np.arange(len(places))
             times, reading = rows * NANOSECONDS, SourceInfo(stamped=False, frame_numbers=rows)
-        return cls.from_columns(times, places, turns, reading, **columns)
+        return cls.from_columns(times, places, rotations, reading, **columns)
 
     @classmethod
     def from_matrices(
@@ -230,8 +230,8 @@ class Trajectory:
             >>> Trajectory.from_matrices(np.tile(np.eye(4), (3, 1, 1)), seconds=[0.0, 0.1, 0.2])
             <Trajectory unnamed, 3 poses, 0.2 s, 0.0 m>
         """
-        places, turns = split_matrices(matrices)
-        return cls.from_positions(places, turns, seconds=seconds, stamps=stamps, **columns)
+        places, rotations = split_matrices(matrices)
+        return cls.from_positions(places, rotations, seconds=seconds, stamps=stamps, **columns)
 
     @classmethod
     def from_pandas(cls, frame: pandas.DataFrame, **columns: Any) -> Trajectory:
@@ -393,10 +393,10 @@ class Trajectory:
             for name in ("positions", "velocities", "gyroscope_biases", "accelerometer_biases")
             for column in (getattr(self, name),)
         }
-        turned = None
+        rotated = None
         if self.quaternions is not None:
-            turned = slerp(self.quaternions, start, end, fraction)
-        return self.moved_to(stamps, quaternions=turned, **mixed), bracket
+            rotated = slerp(self.quaternions, start, end, fraction)
+        return self.moved_to(stamps, quaternions=rotated, **mixed), bracket
 
     def moved_to(self, stamps: Stamps, **states: Any) -> Trajectory:
         """Return the trajectory with computed states (columns by name) at N other stamps."""

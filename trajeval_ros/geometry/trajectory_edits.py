@@ -151,8 +151,8 @@ def by_motion(trajectory: Trajectory, distance_m: float, angle_rad: float) -> In
         steps = positions[ahead] - positions[last]
         enough = np.einsum("ni,ni->n", steps, steps) >= distance_m**2
         if quaternions is not None:
-            turns = lie.multiply(lie.conjugate(quaternions[last]), quaternions[ahead])
-            enough |= lie.angle(turns) >= angle_rad
+            rotations = lie.multiply(lie.conjugate(quaternions[last]), quaternions[ahead])
+            enough |= lie.angle(rotations) >= angle_rad
         first = int(enough.argmax())
         if enough[first]:
             look = max(_FIRST_LOOK, 2 * (at + first - last))
@@ -238,9 +238,9 @@ def flattened(trajectory: Trajectory, plane: str) -> Trajectory:
     if quaternions is not None:
         # The normal takes the place of z.
         places = [*(axis for axis in range(3) if axis != normal), normal, 3]
-        turns = np.empty_like(quaternions)
-        turns[:, places] = lie.normalized(lie.heading(quaternions[:, places]))
-        quaternions = turns
+        rotations = np.empty_like(quaternions)
+        rotations[:, places] = lie.normalized(lie.heading(quaternions[:, places]))
+        quaternions = rotations
     return dataclasses.replace(
         trajectory,
         positions=trajectory.positions * flat,

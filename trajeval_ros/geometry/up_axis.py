@@ -66,10 +66,10 @@ class UpAxis:
     @property
     def matrix(self) -> Floats:
         """The rotation (3, 3) from the frame to one whose z axis is the up axis."""
-        turned: Floats = np.zeros((3, 3))
-        turned[(0, 1, 2), (*self.level, self.index)] = 1.0
-        turned[2] *= -1.0 if self.name.startswith("-") else 1.0
-        return turned
+        rotated: Floats = np.zeros((3, 3))
+        rotated[(0, 1, 2), (*self.level, self.index)] = 1.0
+        rotated[2] *= -1.0 if self.name.startswith("-") else 1.0
+        return rotated
 
     def turned(self, vectors: Floats) -> Floats:
         """Return vectors (..., 3) in axes whose third is up; exact, since it permutes components.
@@ -81,10 +81,10 @@ class UpAxis:
             return vectors
         vectors = np.asarray(vectors)
         rest = range(3, vectors.shape[-1])
-        turned: Floats = vectors[..., [*self.level, self.index, *rest]]
+        rotated: Floats = vectors[..., [*self.level, self.index, *rest]]
         if self.name.startswith("-"):
-            turned[..., 2] = -turned[..., 2]
-        return turned
+            rotated[..., 2] = -rotated[..., 2]
+        return rotated
 
 
 Z_UP = UpAxis("z", ASSUMED)

@@ -79,9 +79,9 @@ def joint_log_likelihood(
     value = 0.5 * (len(information) * LOG_2_PI - float(np.linalg.slogdet(information)[1]))
     value += groundtruth.positions.log_density(_apart(groundtruth, moved))
     if groundtruth.rotations is not None:
-        turns = _turns(groundtruth, moved)
-        value += groundtruth.rotations.log_density(turns)
-        value -= float(se3.log_determinant(turns).sum())
+        rotations = _turns(groundtruth, moved)
+        value += groundtruth.rotations.log_density(rotations)
+        value -= float(se3.log_determinant(rotations).sum())
     return value
 
 
@@ -104,10 +104,10 @@ def _normal_equations(
     by_delta = twists[:, :3] - so3.skew(moved[:, :3, 3]) @ twists[:, 3:]
     parts = [(groundtruth.positions, _apart(groundtruth, moved), by_delta)]
     if groundtruth.rotations is not None:
-        turns = _turns(groundtruth, moved)
+        rotations = _turns(groundtruth, moved)
         into_body = se3.transposed(groundtruth.poses[:, :3, :3])
-        carried = so3.inverse_left_jacobian(turns) @ into_body
-        parts.append((groundtruth.rotations, turns, carried @ twists[:, 3:]))
+        carried = so3.inverse_left_jacobian(rotations) @ into_body
+        parts.append((groundtruth.rotations, rotations, carried @ twists[:, 3:]))
     information = np.zeros((chart.dimension, chart.dimension))
     gradient = np.zeros(chart.dimension)
     for covariance, residual, jacobian in parts:

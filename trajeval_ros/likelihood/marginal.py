@@ -95,12 +95,18 @@ def generalised_absolute_error(residuals: Residuals) -> AbsoluteErrorDensity:
     error = AbsoluteErrorDensity(
         residuals, mode, information, laplace(mode, information), "laplace"
     )
-    turn = _turn_uncertainty(error)
-    if turn <= MOST_TURN_RAD:
-        return dataclasses.replace(error, statements=_statements(error, turn, None))
+    rotation = _turn_uncertainty(error)
+    if rotation <= MOST_TURN_RAD:
+        return dataclasses.replace(error, statements=_statements(error, rotation, None))
     value, share = importance(error)
     return AbsoluteErrorDensity(
-        residuals, mode, information, value, "importance", share, _statements(error, turn, share)
+        residuals,
+        mode,
+        information,
+        value,
+        "importance",
+        share,
+        _statements(error, rotation, share),
     )
 
 
@@ -196,10 +202,10 @@ def _log_sum(values: Floats) -> float:
 
 def _turn_uncertainty(error: AbsoluteErrorDensity) -> float:
     """Return the largest standard deviation of the alignment's rotation, rad."""
-    turns = error.residuals.chart.turns
-    if turns.start == turns.stop:
+    rotations = error.residuals.chart.turns
+    if rotations.start == rotations.stop:
         return 0.0
-    return float(np.sqrt(np.linalg.eigvalsh(error.covariance[turns, turns])[-1]))
+    return float(np.sqrt(np.linalg.eigvalsh(error.covariance[rotations, rotations])[-1]))
 
 
 def _statements(error: AbsoluteErrorDensity, turn: float, share: float | None) -> tuple[str, ...]:

@@ -219,8 +219,8 @@ def align(
     if gauge.has_scale:
         _require_motion("groundtruth", groundtruth)
         _require_motion("estimate", estimate)
-    turned = None if orientations is None else OrientationSum.of_pairs(*orientations, weights)
-    solution = solve(gauge, moments, turned, align_with=align_with)
+    rotated = None if orientations is None else OrientationSum.of_pairs(*orientations, weights)
+    solution = solve(gauge, moments, rotated, align_with=align_with)
     return dataclasses.replace(solution, states_used=count)
 
 

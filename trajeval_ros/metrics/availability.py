@@ -80,11 +80,11 @@ class Messages:
         twists = np.zeros((len(self.stamps), 6))
         inverse = lie.conjugate(self.quaternions[:-1])
         moved = lie.rotate(inverse, np.diff(self.positions, axis=0))
-        turned = lie.rotation_vector(lie.multiply(inverse, self.quaternions[1:]))
-        moved = se3.times(so3.inverse_left_jacobian(turned), moved)
+        rotated = lie.rotation_vector(lie.multiply(inverse, self.quaternions[1:]))
+        moved = se3.times(so3.inverse_left_jacobian(rotated), moved)
         steps_s = np.diff(self.stamps) / NANOSECONDS
         fresh = np.append(False, steps_s > 0.0)
-        twists[fresh] = np.hstack([moved, turned])[fresh[1:]] / steps_s[fresh[1:], None]
+        twists[fresh] = np.hstack([moved, rotated])[fresh[1:]] / steps_s[fresh[1:], None]
         newest = np.where(fresh, np.arange(len(twists)), 0)
         carried: Floats = twists[np.maximum.accumulate(newest)]
         return carried
@@ -165,8 +165,8 @@ def sampled(
     position = states.positions[places] - positions
     rotation = None
     if states.quaternions is not None and messages.oriented:
-        turned = lie.multiply(states.quaternions[places], lie.conjugate(quaternions))
-        rotation = np.diff(lie.rotation_vector(turned), axis=0, prepend=0.0)
+        rotated = lie.multiply(states.quaternions[places], lie.conjugate(quaternions))
+        rotation = np.diff(lie.rotation_vector(rotated), axis=0, prepend=0.0)
     position = np.diff(position, axis=0, prepend=0.0)
     ages = np.diff(reached, axis=0)
     return AvailableSamples(messages, stamps[kept], rows, ages, position, rotation)
@@ -181,6 +181,6 @@ def _predicted(messages: Messages, rows: Indices, reached: Stamps) -> tuple[Floa
     seconds = np.minimum(reached / NANOSECONDS, HORIZON_S)[..., None]
     twists = messages.twists[rows] * seconds
     moved = se3.times(so3.left_jacobian(twists[..., 3:]), twists[..., :3])
-    turned = lie.from_rotation_vector(twists[..., 3:])
-    quaternions = np.broadcast_to(quaternions, turned.shape)
-    return positions + lie.rotate(quaternions, moved), lie.multiply(quaternions, turned)
+    rotated = lie.from_rotation_vector(twists[..., 3:])
+    quaternions = np.broadcast_to(quaternions, rotated.shape)
+    return positions + lie.rotate(quaternions, moved), lie.multiply(quaternions, rotated)

@@ -46,8 +46,8 @@ class Gap:
 
     def __str__(self) -> str:
         """Write it for a sentence: "12.3 s (4.51 m, 90 deg)"."""
-        turned = "" if self.turn_deg is None else f", {self.turn_deg:.0f} deg"
-        return f"{self.duration_s:.1f} s ({self.reach_m:.2f} m{turned})"
+        rotated = "" if self.turn_deg is None else f", {self.turn_deg:.0f} deg"
+        return f"{self.duration_s:.1f} s ({self.reach_m:.2f} m{rotated})"
 
 
 @dataclass(frozen=True)
@@ -195,10 +195,10 @@ class StampedPoses(NamedTuple):
     @classmethod
     def of(cls, trajectory: Trajectory, rows: Indices) -> StampedPoses:
         """Return rows of a trajectory; the rows are in order of time."""
-        turned = trajectory.quaternions
+        rotated = trajectory.quaternions
         poses = np.empty((len(rows), POSE.stop))
         poses[:, :3] = trajectory.positions[rows]
-        poses[:, 3:] = np.nan if turned is None else turned[rows]
+        poses[:, 3:] = np.nan if rotated is None else rotated[rows]
         return cls(trajectory.stamps[rows], poses)
 
     @classmethod
@@ -262,8 +262,8 @@ class StepMeter:
         begin = pairs.poses[:1] if self._begin is None else self._begin
         known = pairs.poses if count else begin
         ends_at = pairs.stamps.searchsorted(groundtruth.stamps)
-        reach, turn = np.zeros(count + 1), np.zeros(count + 1)
-        reach[0], turn[0] = self._reach_m, self._turn_rad
+        reach, rotation = np.zeros(count + 1), np.zeros(count + 1)
+        reach[0], rotation[0] = self._reach_m, self._turn_rad
         is_long = np.append(np.diff(pairs.stamps, prepend=self._stamp) > _CELL_NS, True)
         for poses, ends in ((pairs.poses, np.arange(count)), (groundtruth.poses, ends_at)):
             rows = np.flatnonzero(is_long[ends])
@@ -272,16 +272,16 @@ class StepMeter:
             distance, angle = _apart(begins, poses[rows])
             np.maximum.at(reach, ends[rows], distance)
             with np.errstate(invalid="ignore"):  # unknown angles
-                np.maximum.at(turn, ends[rows], angle)
-        reach[~is_long] = turn[~is_long] = 0.0
+                np.maximum.at(rotation, ends[rows], angle)
+        reach[~is_long] = rotation[~is_long] = 0.0
         # The first pair ends no step.
         first = int(self._begin is None)
         time_ns = np.diff(times, prepend=self._begin_ns)[first:]
         if count:
             self._begin_ns, self._stamp = int(times[-1]), int(pairs.stamps[-1])
         self._begin = known[-1:].copy()
-        self._reach_m, self._turn_rad = float(reach[-1]), float(turn[-1])
-        return PairSteps(time_ns, reach[first:-1], turn[first:-1])
+        self._reach_m, self._turn_rad = float(reach[-1]), float(rotation[-1])
+        return PairSteps(time_ns, reach[first:-1], rotation[first:-1])
 
     def _time_without_gaps(self, groundtruth: Stamps, stamps: Stamps) -> Indices:
         """Return the time without gaps up to stamps (N,); advance to the last waypoint (M,)."""

@@ -81,12 +81,12 @@ def debiased(
         product: Floats = (halves @ mixed).reshape(columns.shape)
         return product
 
-    turned = times_covariance(basis)
+    rotated = times_covariance(basis)
     products = covariances.reshape(count, 9) @ covariances.reshape(count, 9).T
     square = float(np.vdot(correlations**2, products))
-    noise = float(np.trace(covariances, axis1=1, axis2=2).sum() - np.vdot(basis, turned))
+    noise = float(np.trace(covariances, axis1=1, axis2=2).sum() - np.vdot(basis, rotated))
     noise_square = (
-        square - 2.0 * float(np.vdot(turned, turned)) + float(np.square(basis.T @ turned).sum())
+        square - 2.0 * float(np.vdot(rotated, rotated)) + float(np.square(basis.T @ rotated).sum())
     )
     column = errors.reshape(-1, 1)
     crossed = max(0.0, float(np.vdot(column, times_covariance(column))) - noise_square)

@@ -130,8 +130,8 @@ def by_matrices(
     orientations.
     """
     true_turn, true_step = _steps(groundtruth, starts, ends)
-    turn, step = _steps(estimate, starts, ends)
-    back = np.linalg.inv(turn)
+    rotation, step = _steps(estimate, starts, ends)
+    back = np.linalg.inv(rotation)
     error = back @ true_turn
     cosine = 0.5 * (np.trace(error, axis1=1, axis2=2) - 1.0)
     difference = np.einsum("nij,nj->ni", back, true_step - scale * step)

@@ -76,7 +76,7 @@ def relative_errors(
         return RelativeErrors(starts, ends, lengths(errors))
     groundtruth_poses, estimate_poses = PoseArrays.of(groundtruth), PoseArrays.of(estimate)
     # Once per pair: most pairs are both a start and an end.
-    [turns] = lie.by_blocks(
+    [rotations] = lie.by_blocks(
         lambda *sides: (rotation_errors(*sides),),
         groundtruth_poses.quaternions,
         estimate_poses.quaternions,
@@ -91,7 +91,7 @@ def relative_errors(
             difference, between, first = differences_at_ends(
                 groundtruth_poses.positions.take(rows, axis=0),
                 estimate_poses.positions.take(rows, axis=0),
-                turns.take(rows, axis=0),
+                rotations.take(rows, axis=0),
                 gauge,
                 scale,
                 form,
@@ -165,8 +165,8 @@ def _fitted(
     difference, alignment = _fitted_differences(
         groundtruth.positions, other.positions, starts, ends
     )
-    turned = lie.multiply(alignment, other.quaternions[ends])
-    between = lie.multiply(groundtruth.quaternions[ends], lie.conjugate(turned))
+    rotated = lie.multiply(alignment, other.quaternions[ends])
+    between = lie.multiply(groundtruth.quaternions[ends], lie.conjugate(rotated))
     return difference, between, alignment
 
 

@@ -134,8 +134,8 @@ class LiveAvailability:
             "available/latency": float(messages.times[row] - messages.stamps[row]) / NANOSECONDS,
         }
         if samples.rotation is not None:
-            turned = np.degrees(np.linalg.norm(samples.rotation[:, -1].sum(axis=0)))
-            self.numbers["available/rotation_error"] = float(turned)
+            rotated = np.degrees(np.linalg.norm(samples.rotation[:, -1].sum(axis=0)))
+            self.numbers["available/rotation_error"] = float(rotated)
         late = np.append(self._is_late, ages_s > self._rule.deadline_s)
         self.missed += int(np.count_nonzero(late[1:] & ~late[:-1]))
         self._is_late = bool(late[-1])

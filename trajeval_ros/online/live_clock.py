@@ -137,10 +137,12 @@ def _add(stream: Tail, block: Trajectory, step_ns: int) -> None:
     if not len(kept):
         return
     # The first state of every step in order of arrival.
-    turns = block.quaternions
+    rotations = block.quaternions
     stream.add(
         Trajectory(
-            block.stamps[kept], block.positions[kept], None if turns is None else turns[kept]
+            block.stamps[kept],
+            block.positions[kept],
+            None if rotations is None else rotations[kept],
         )
     )
     oldest = stream.newest - round(_PAST_S * NANOSECONDS)

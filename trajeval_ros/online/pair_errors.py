@@ -81,8 +81,8 @@ class PairErrors:
         tilted = lie.multiply(level, lie.conjugate(lie.heading(level)))
         vectors = np.degrees(lie.rotation_vector(tilted))
         vectors[:, 2] = self.yaw_deg
-        turned: Floats = vectors @ self._up.matrix
-        return turned
+        rotated: Floats = vectors @ self._up.matrix
+        return rotated
 
     @property
     def velocity(self) -> Floats | None:

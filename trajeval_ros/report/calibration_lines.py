@@ -33,12 +33,12 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
         text += f" ({', '.join(rows)})" if rows and offset.value is not None else ""
         lines.append(_line("clock offset", text, offset, calibrated.offset_applied))
     if calibration is not None and request.hand_eye:
-        turn, lever = calibration.turn, calibration.lever
+        rotation, lever = calibration.turn, calibration.lever
         text = "unknown"
-        if turn.value is not None and turn.half_width_95 is not None:
-            width = float(np.degrees(turn.half_width_95.max()))
-            text = f"{np.degrees(np.linalg.norm(turn.value)):.2f} deg +- {width:.2g} (95 %)"
-        lines.append(_line("body rotation", text, turn, calibrated.rotation_applied))
+        if rotation.value is not None and rotation.half_width_95 is not None:
+            width = float(np.degrees(rotation.half_width_95.max()))
+            text = f"{np.degrees(np.linalg.norm(rotation.value)):.2f} deg +- {width:.2g} (95 %)"
+        lines.append(_line("body rotation", text, rotation, calibrated.rotation_applied))
         text = _quantity(lever, 1.0, "m", "{:.3f}")
         lines.append(_line("lever arm", text, lever, calibrated.lever_applied))
     if request.known is not None:
@@ -120,5 +120,5 @@ def _growth(calibrated: Calibrated) -> list[str]:
 
 def _both(ate: Ate) -> str:
     """Return position and rotation ATE as a text."""
-    turned = "" if ate.rotation_deg is None else f" {with_unit(ate.rotation_deg, 'deg')}"
-    return f"{with_unit(ate.position_m, 'm')}{turned}"
+    rotated = "" if ate.rotation_deg is None else f" {with_unit(ate.rotation_deg, 'deg')}"
+    return f"{with_unit(ate.position_m, 'm')}{rotated}"

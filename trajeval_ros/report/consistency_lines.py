@@ -47,11 +47,11 @@ def consistency_lines(name: str, consistency: Consistency) -> list[str]:
         if per_pose.limit_95 is not None:
             limit = f" (95 % of consistent runs: below {per_pose.limit_95:.2f})"
         position, rotation = per_pose.position, per_pose.rotation
-        moved, turned = consistency.axes
+        moved, rotated = consistency.axes
         lines += [
-            f"  NEES / {moved + turned} of single poses: mean {per_pose.mean:.3f}{band}, largest "
+            f"  NEES / {moved + rotated} of single poses: mean {per_pose.mean:.3f}{band}, largest "
             f"{per_pose.max:.3f}{limit}",
-            f"  NEES / {turned} of orientations: mean {rotation.mean:.3f}, largest "
+            f"  NEES / {rotated} of orientations: mean {rotation.mean:.3f}, largest "
             f"{rotation.max:.3f}",
             f"  NEES / {moved} of positions: mean {position.mean:.3f}, largest {position.max:.3f}",
         ]

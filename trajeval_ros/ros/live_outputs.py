@@ -116,15 +116,17 @@ class RevisedOutputs(_Topics):
                 rotation_deg = None if rotation is None else rotation.rmse
                 self._publish_parts(topic, stamps[-1:], position.rmse, rotation_deg)
         similarity = evaluation.alignment.similarity
-        turns = evaluation.aligned.quaternions
-        assert turns is not None  # of a path
+        rotations = evaluation.aligned.quaternions
+        assert rotations is not None  # of a path
         if evaluation.protocol.is_upright:
             similarity, back = between_own_axes(similarity, *ups), ups[0].matrix.T
             positions = positions @ back.T
-            turns = lie.multiply(lie.from_matrices(back[None]), turns)
+            rotations = lie.multiply(lie.from_matrices(back[None]), rotations)
         self._alignment.publish(encode_alignment(similarity, stamps[-1:], (frame, child_frame)))
         picked = every_nth(len(stamps), MOST_POSES)
-        self._path.publish(encode_path(stamps[picked], positions[picked], turns[picked], frame))
+        self._path.publish(
+            encode_path(stamps[picked], positions[picked], rotations[picked], frame)
+        )
 
 
 class StreamOutputs(_Topics):

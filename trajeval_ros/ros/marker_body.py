@@ -106,14 +106,14 @@ class MarkerBody:
             self._found = self.transform.take() or self._found
             self.why_not = self.transform.trouble
         elif self.source == AUTO and calibration is not None:
-            turn, lever = calibration.turn, calibration.lever
-            known = [item.value if item.is_significant else None for item in (turn, lever)]
+            rotation, lever = calibration.turn, calibration.lever
+            known = [item.value if item.is_significant else None for item in (rotation, lever)]
             is_found = any(item is not None for item in known)
             self._found = HandEye.of(*known) if is_found else None
-            self.why_not = f"rotation: {turn.reason}; lever arm: {lever.reason}"
+            self.why_not = f"rotation: {rotation.reason}; lever arm: {lever.reason}"
             self._without = [
                 f"no {what} ({item.reason})"
-                for what, item in (("rotation", turn), ("lever arm", lever))
+                for what, item in (("rotation", rotation), ("lever arm", lever))
                 if not item.is_significant
             ]
             return is_spent or not self._without

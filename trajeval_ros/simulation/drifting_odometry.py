@@ -160,19 +160,19 @@ def _odometry(generator: np.random.Generator, flight: _Flight, duration_s: float
 
     yaw_step = np.radians(_YAW_DEG_PER_SQRT_S) * np.sqrt(step_s)
     yaw = np.cumsum(yaw_step * generator.standard_normal(len(times)))
-    turned = _yaw_rotations(yaw - yaw[0])
+    rotated = _yaw_rotations(yaw - yaw[0])
     stretch = 1.0 + _SCALE * wandering(generator, len(times), 1, 30.0 * ESTIMATE_RATE_HZ)
     disturbance = (
         _VELOCITY_SHARE * speed * wandering(generator, len(times), 3, 2.0 * ESTIMATE_RATE_HZ)
     )
     steps = np.diff(flight.positions(times), axis=0)
-    drifting_steps = stretch[1:] * turned[1:].apply(steps) + disturbance[1:] * step_s
+    drifting_steps = stretch[1:] * rotated[1:].apply(steps) + disturbance[1:] * step_s
     positions = np.concatenate([np.zeros((1, 3)), np.cumsum(drifting_steps, axis=0)])
 
     level = wandering(generator, len(times), 2, 2.0 * ESTIMATE_RATE_HZ)
     tilt = np.zeros((len(times), 3))
     tilt[:, :2] = np.radians(TILT_DEG) * 2.0 * np.tanh(level / 2.0)
-    rotations = turned * Rotation.from_rotvec(tilt) * flight.rotations(times)
+    rotations = rotated * Rotation.from_rotvec(tilt) * flight.rotations(times)
 
     # The odometry's world starts where the flight does, at an arbitrary yaw.
     frame = _yaw_rotations(np.array(generator.uniform(-np.pi, np.pi)))
@@ -183,7 +183,7 @@ def _odometry(generator: np.random.Generator, flight: _Flight, duration_s: float
         stamps=_stamps(times + delay),
         positions=frame.apply(positions),
         quaternions=(frame * rotations).as_quat(),
-        velocities=frame.apply(stretch * turned.apply(velocities) + disturbance),
+        velocities=frame.apply(stretch * rotated.apply(velocities) + disturbance),
         frame="odom",
         child_frame="base_link",
         name="odometry",

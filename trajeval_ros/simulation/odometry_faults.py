@@ -41,19 +41,19 @@ def yaw(
 ) -> Trajectory:
     """Let the yaw drift at a rate, deg/s."""
     tau = since(estimate, onset)[1]
-    turn = _turned(np.radians(rate_deg) * tau)
-    steps = lie.rotate(turn[1:], np.diff(estimate.positions, axis=0))
+    rotation = _turned(np.radians(rate_deg) * tau)
+    steps = lie.rotate(rotation[1:], np.diff(estimate.positions, axis=0))
     positions = estimate.positions[0] + np.concatenate(
         [np.zeros((1, 3)), np.cumsum(steps, axis=0)]
     )
     assert estimate.quaternions is not None
     velocities = estimate.velocities
     if velocities is not None:
-        velocities = lie.rotate(turn, velocities)
+        velocities = lie.rotate(rotation, velocities)
     return replace(
         estimate,
         positions=positions,
-        quaternions=lie.normalized(lie.multiply(turn, estimate.quaternions)),
+        quaternions=lie.normalized(lie.multiply(rotation, estimate.quaternions)),
         velocities=velocities,
     )
 

@@ -136,10 +136,10 @@ def imu_readings(groundtruth: Trajectory, seed: int) -> InertialReadings:
     generator = np.random.default_rng([seed, 1])
     steps = np.diff(groundtruth.stamps)
     dt = steps[:, None] / 1e9
-    turned = lie.rotation_vector(lie.multiply(lie.conjugate(quaternions[:-1]), quaternions[1:]))
-    middle = lie.multiply(quaternions[:-1], lie.from_rotation_vector(0.5 * turned))
+    rotated = lie.rotation_vector(lie.multiply(lie.conjugate(quaternions[:-1]), quaternions[1:]))
+    middle = lie.multiply(quaternions[:-1], lie.from_rotation_vector(0.5 * rotated))
     force = np.diff(velocities, axis=0) / dt + [0.0, 0.0, GRAVITY]
-    rates = _noisy(turned / dt, dt, generator, _GYRO)
+    rates = _noisy(rotated / dt, dt, generator, _GYRO)
     accelerations = _noisy(lie.rotate(lie.conjugate(middle), force), dt, generator, _ACCELEROMETER)
     return InertialReadings(
         groundtruth.stamps[:-1] + steps // 2, rates, accelerations, frame=groundtruth.child_frame

@@ -61,12 +61,14 @@ class Degradation:
         kept = groundtruth[rows]
         shape = (len(rows), 3)
         positions = kept.positions + random.normal(scale=self.noise.position_m, size=shape)
-        turns = random.normal(scale=self.noise.rotation_rad, size=shape)
-        turned = None if kept.rotations is None else kept.rotations * Rotation.from_rotvec(turns)
+        rotations = random.normal(scale=self.noise.rotation_rad, size=shape)
+        rotated = (
+            None if kept.rotations is None else kept.rotations * Rotation.from_rotvec(rotations)
+        )
         return dataclasses.replace(
             kept,
             positions=positions,
-            quaternions=None if turned is None else turned.as_quat(),
+            quaternions=None if rotated is None else rotated.as_quat(),
             velocities=None,
             gyroscope_biases=None,
             accelerometer_biases=None,

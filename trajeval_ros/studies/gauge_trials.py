@@ -86,8 +86,8 @@ def compare_handlings(
     rows: dict[GaugeHandling, list[tuple[float, ...]]] = {handling: [] for handling in handlings}
     for trial in range(trials):
         # The first one has cold caches: alternate the order for fair times.
-        turn = trial % len(handlings)
-        for handling in (*handlings[turn:], *handlings[:turn]):
+        rotation = trial % len(handlings)
+        for handling in (*handlings[rotation:], *handlings[:rotation]):
             rows[handling].append(_trial(scene, trial, handling, PRIOR_WEIGHT)[0])
         advance()
     return {handling: _columns(trials_of) for handling, trials_of in rows.items()}
@@ -147,8 +147,8 @@ def _trial(
 def _errors(groundtruth: State, state: State) -> tuple[float, float, float]:
     """Return the RMSE of position (m), rotation (deg) and velocity (m/s)."""
     yaw = so3.yaw_of_matrix(groundtruth.rotations[0] @ state.rotations[0].T)
-    turn = so3.exp(yaw * np.array([0.0, 0.0, 1.0]))
-    aligned = state.transformed(turn, groundtruth.positions[0] - turn @ state.positions[0])
+    rotation = so3.exp(yaw * np.array([0.0, 0.0, 1.0]))
+    aligned = state.transformed(rotation, groundtruth.positions[0] - rotation @ state.positions[0])
     between = so3.log(aligned.rotations @ np.swapaxes(groundtruth.rotations, 1, 2))
     return (
         _rms(aligned.positions - groundtruth.positions),

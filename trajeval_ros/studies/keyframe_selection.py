@@ -94,11 +94,11 @@ class KeyframeSelection:
     @property
     def drift_against_gyroscope_deg(self) -> float:
         """Angle between the rotations from first to last keyframe by groundtruth and gyroscope."""
-        turned = np.eye(3)
+        rotated = np.eye(3)
         for step in self.preintegrated.rotations:
-            turned = turned @ step
+            rotated = rotated @ step
         rotations = self.groundtruth.rotations
-        return float(np.degrees(np.linalg.norm(so3.log(rotations[-1].T @ rotations[0] @ turned))))
+        return float(np.degrees(np.linalg.norm(so3.log(rotations[-1].T @ rotations[0] @ rotated))))
 
 
 def select(

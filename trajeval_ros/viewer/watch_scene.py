@@ -89,8 +89,8 @@ def _draw_path(
         drawn = entity_data.path_by_error(points, nearest[some], rows, 1.0)
         drawn.send(recording, PATH, stamps[rows[:, -1]])
     few = spread(len(estimate), _MOST_POSES)
-    turns = None if estimate.quaternions is None else estimate.quaternions[few]
-    poses = entity_data.poses(estimate.positions[few] - origin, turns)
+    rotations = None if estimate.quaternions is None else estimate.quaternions[few]
+    poses = entity_data.poses(estimate.positions[few] - origin, rotations)
     poses.send(recording, POSE, estimate.stamps[few])
 
 

@@ -42,12 +42,12 @@ class SampledEstimate:
     def elsewhere(self, generator: np.random.Generator) -> SampledEstimate:
         """Return the run in a frame with random yaw and translation."""
         yaw = generator.uniform(-np.pi, np.pi)
-        turn = so3.exp(yaw * np.array([0.0, 0.0, 1.0]))
+        rotation = so3.exp(yaw * np.array([0.0, 0.0, 1.0]))
         shift = generator.uniform(-_FARTHEST_OFFSET_M, _FARTHEST_OFFSET_M, 3)
-        blocks = scipy.sparse.kron(scipy.sparse.eye(self.information.shape[0] // 3), turn)
-        wide = np.kron(np.eye(3), turn)
+        blocks = scipy.sparse.kron(scipy.sparse.eye(self.information.shape[0] // 3), rotation)
+        wide = np.kron(np.eye(3), rotation)
         return SampledEstimate(
-            self.state.transformed(turn, shift),
+            self.state.transformed(rotation, shift),
             (blocks @ self.information @ blocks.T).tocsr(),
             wide @ self.marginals @ wide.T,
         )

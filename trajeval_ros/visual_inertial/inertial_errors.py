@@ -48,11 +48,11 @@ class InertialMeasurements:
     def linearised(self, state: State) -> InertialErrors:
         """Return the whitened errors with their Jacobians."""
         terms = self._terms(state)
-        _, turn, speed, shift = terms
+        _, rotation, speed, shift = terms
         into = np.swapaxes(state.rotations[:-1], 1, 2)
         durations = self.preintegrated.durations_s[:, None, None]
-        before, after = np.zeros((2, len(turn), MOTION_WIDTH, MOTION_WIDTH))
-        back = so3.inverse_left_jacobian(-turn)
+        before, after = np.zeros((2, len(rotation), MOTION_WIDTH, MOTION_WIDTH))
+        back = so3.inverse_left_jacobian(-rotation)
         after[:, 0:3, 3:6] = back @ np.swapaxes(state.rotations[1:], 1, 2)
         before[:, 0:3, 3:6] = -after[:, 0:3, 3:6]
         before[:, 3:6, 3:6] = into @ so3.skew(speed)
@@ -71,16 +71,16 @@ class InertialMeasurements:
         speed = np.diff(state.velocities, axis=0) - fall
         shift = np.diff(state.positions, axis=0) - (state.velocities[:-1] + fall / 2.0) * durations
         into = np.swapaxes(state.rotations[:-1], 1, 2)
-        turn = so3.log(np.swapaxes(measured.rotations, 1, 2) @ into @ state.rotations[1:])
+        rotation = so3.log(np.swapaxes(measured.rotations, 1, 2) @ into @ state.rotations[1:])
         errors = np.concatenate(
             [
-                turn,
+                rotation,
                 np.einsum("nij,nj->ni", into, speed) - measured.velocities,
                 np.einsum("nij,nj->ni", into, shift) - measured.positions,
             ],
             axis=1,
         )
-        return _Terms(errors, turn, speed, shift)
+        return _Terms(errors, rotation, speed, shift)
 
     def _whitened(self, terms: _Terms) -> Floats:
         whitened: Floats = np.einsum("nij,nj->ni", self._whiten, terms.errors)

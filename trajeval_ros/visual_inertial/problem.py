@@ -100,8 +100,8 @@ class Problem:
         visual = self._images.normal_blocks(state)
         first = so3.left_jacobian(state.first_turn)
         at_first = self.visibility.keyframe_of == 0
-        turned = visual.cross[3:, :, at_first]
-        visual.cross[3:, :, at_first] = np.einsum("ij,ikm->jkm", first, turned)
+        rotated = visual.cross[3:, :, at_first]
+        visual.cross[3:, :, at_first] = np.einsum("ij,ikm->jkm", first, rotated)
         visual.diagonal[0, 3:] = first.T @ visual.diagonal[0, 3:]
         visual.diagonal[0, :, 3:] = visual.diagonal[0, :, 3:] @ first
         visual.motion_gradient[0, 3:] = first.T @ visual.motion_gradient[0, 3:]

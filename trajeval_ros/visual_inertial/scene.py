@@ -282,9 +282,9 @@ def _perfect_samples(motion: Motion, times: Floats, *, is_exact: bool) -> tuple[
     """Return the measurements of a noise-free IMU over the steps between `times`."""
     rotations = motion.rotations(times)
     if not is_exact:
-        turned = np.swapaxes(rotations[:-1], 1, 2)
+        rotated = np.swapaxes(rotations[:-1], 1, 2)
         forces = motion.accelerations(times[:-1]) - GRAVITY
-        return motion.angular_velocities(times[:-1]), np.einsum("nij,nj->ni", turned, forces)
+        return motion.angular_velocities(times[:-1]), np.einsum("nij,nj->ni", rotated, forces)
     # The constant rates and specific forces that integrate from one state to the next.
     step_s = 1.0 / IMU_RATE_HZ
     rates = so3.log(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]) / step_s

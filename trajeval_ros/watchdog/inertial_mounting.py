@@ -126,9 +126,9 @@ def _turn_and_bias(
         bias = np.median((gyro - own @ rotation) / span, axis=0)
     off = own - (gyro - bias * span) @ rotation.T
     angles = lengths(off) if axis is None else np.abs(off @ axis)
-    turned = lengths(own)
-    most = turned >= np.quantile(turned, _MOST_TURNED)
-    return float(np.median(angles[most]) / max(np.median(turned[most]), 1e-9)), rotation, bias
+    rotated = lengths(own)
+    most = rotated >= np.quantile(rotated, _MOST_TURNED)
+    return float(np.median(angles[most]) / max(np.median(rotated[most]), 1e-9)), rotation, bias
 
 
 def _refined(

@@ -210,8 +210,8 @@ class InertialSignals(Comparison):
         for window_s in _GYRO_WINDOWS_S:
             begins, known = window_begins(rows, first, window_s)
             by_gyro = between(rows[begins, _BODY], own[:, _BODY])
-            turned = between(rows[begins, QUATERNION], own[:, QUATERNION])
-            off = lie.rotation_vector(between(by_gyro, turned))
+            rotated = between(rows[begins, QUATERNION], own[:, QUATERNION])
+            off = lie.rotation_vector(between(by_gyro, rotated))
             if mounting.axis is not None:
                 off = np.outer(off @ mounting.axis, mounting.axis)
             back = np.swapaxes(lie.to_matrix(by_gyro), 1, 2)

@@ -130,14 +130,14 @@ class PairSignals(Comparison):
         for window_s in _WINDOWS_S:
             begins, known = window_begins(rows, first, window_s)
             motions = _motions(rows, begins, ends)
-            turn, step = motions[:2]
+            rotation, step = motions[:2]
             expected, moved = _predicted(body, *motions)
-            jacobian = _displacement_jacobian(body, turn, motions[3])
+            jacobian = _displacement_jacobian(body, rotation, motions[3])
             floor_m, floor_rad = 0.01 + 0.005 * window_s, np.radians(0.1 + 0.02 * window_s)
             off_m = judged(step - moved, jacobian, body.covariance, floor_m)
             path_m = rows[first:, _PATH] - rows[begins, _PATH]
             back = np.swapaxes(lie.to_matrix(expected), 1, 2) - np.eye(3)
-            off_turn = lie.rotation_vector(between(expected, turn))
+            off_turn = lie.rotation_vector(between(expected, rotation))
             off_rad = judged(off_turn, back, body.covariance[:3, :3], floor_rad)
             for stem, values in (
                 ("pair_percent", 100.0 * off_m / (1.0 + path_m)),
@@ -219,15 +219,15 @@ def body_difference(
     lever, covariance = np.zeros(3), np.eye(7)
     weak = np.diag([1e-9] * 3 + [_LEVER_M**-2] * 3 + [_LOG_SCALE**-2])
     for _ in range(_PASSES):
-        turned, along = b @ rotation.T, scale * other_steps @ rotation.T
-        off_turn, off = a - turned, steps - along - left @ lever
+        rotated, along = b @ rotation.T, scale * other_steps @ rotation.T
+        off_turn, off = a - rotated, steps - along - left @ lever
         sizes, turn_sizes = lengths(off), lengths(off_turn)
         kept = (sizes < _TRIM * np.median(sizes) + _LEAST_M) & (
             turn_sizes < _TRIM * np.median(turn_sizes) + _LEAST_RAD
         )
         sigma_rad = max(float(np.median(turn_sizes)) / _MEDIAN_LENGTH, _LEAST_RAD)
         sigma_m = max(float(np.median(sizes)) / _MEDIAN_LENGTH, _LEAST_M)
-        by_turn = np.concatenate([-skew(turned), np.zeros((len(a), 3, 4))], axis=2) / sigma_rad
+        by_turn = np.concatenate([-skew(rotated), np.zeros((len(a), 3, 4))], axis=2) / sigma_rad
         by_step = np.concatenate([-skew(along), left, along[:, :, None]], axis=2) / sigma_m
         jacobian = np.concatenate([by_turn, by_step], axis=1)[kept].reshape(-1, 7)
         residual = np.concatenate([off_turn / sigma_rad, off / sigma_m], axis=1)[kept].ravel()

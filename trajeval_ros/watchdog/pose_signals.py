@@ -154,10 +154,10 @@ class CorrectionSignals:
         before = np.searchsorted(rows[:, TIME], since, side="right") - 1
         old = rows[np.maximum(before, 0)]
         moved = lengths(_in_map(new, robot) - _in_map(old, robot))
-        turned = np.degrees(lie.angle(between(old[:, QUATERNION], new[:, QUATERNION])))
+        rotated = np.degrees(lie.angle(between(old[:, QUATERNION], new[:, QUATERNION])))
         signals = {
             "map_correction_m_1s": finite(times, only(moved, before >= 0)),
-            "map_correction_deg_1s": finite(times, only(turned, before >= 0)),
+            "map_correction_deg_1s": finite(times, only(rotated, before >= 0)),
         }
         self._done = float(times[-1])
         self._states.forget_until(self._done)

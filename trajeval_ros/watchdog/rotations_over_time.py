@@ -24,8 +24,8 @@ def only_axis(turns: Floats, others: Floats) -> Floats | None:
     of their source.
     """
     axis: Floats = np.linalg.svd(turns, full_matrices=False)[2][0]
-    turned = others @ closest_rotation(turns, others).T
-    own, other = (item - np.outer(item @ axis, axis) for item in (turns, turned))
+    rotated = others @ closest_rotation(turns, others).T
+    own, other = (item - np.outer(item @ axis, axis) for item in (turns, rotated))
     energy = float(np.sqrt(np.vdot(own, own) * np.vdot(other, other)))
     smallest = np.finfo(float).eps * float(np.vdot(turns, turns))
     if energy > smallest and float(np.vdot(own, other)) / energy >= LEAST_RELIABILITY:

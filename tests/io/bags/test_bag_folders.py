@@ -36,11 +36,11 @@ def test_a_compressed_file_is_called_by_its_own_name(
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     try:
-        said = "; ".join(read_trajectory(str(path)).reading.messages(Level.ERROR))
+        text = "; ".join(read_trajectory(str(path)).reading.messages(Level.ERROR))
     except InputError as error:
-        said = str(error)
-    assert str(path) in said
-    assert "trajeval-" not in said  # the folder of its copy
+        text = str(error)
+    assert str(path) in text
+    assert "trajeval-" not in text  # the folder of its copy
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -50,9 +50,9 @@ def test_split_bags_are_ordered_by_time(storage: Any, tmp_path: Path) -> None:
     (bag / f"a_9{ending(storage)}").unlink()
     read = read_trajectory(str(bag))
     assert rows_of(read) == list(range(100, 200))
-    said = "; ".join(read.reading.messages(Level.ERROR))
-    assert "metadata.yaml lists a_9" in said
-    assert "declares 200 messages on /pose, but 100 were read" in said
+    text = "; ".join(read.reading.messages(Level.ERROR))
+    assert "metadata.yaml lists a_9" in text
+    assert "declares 200 messages on /pose, but 100 were read" in text
 
 
 def test_one_file_of_several_that_is_no_bag(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def information(version: int, paths: list[str], compression: str = "") -> dict[s
     topic: dict[str, Any] = {"name": "/pose", "type": POSE_STAMPED, "serialization_format": "cdr"}
     duration = {"nanoseconds": COUNT * NANOSECONDS}
     start = {"nanoseconds_since_epoch": 0}
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "version": version,
         "storage_identifier": "mcap" if ".mcap" in paths[0] else "sqlite3",
         "relative_file_paths": paths,
@@ -62,22 +62,22 @@ def information(version: int, paths: list[str], compression: str = "") -> dict[s
         "topics_with_message_count": [{"topic_metadata": topic, "message_count": 2 * COUNT}],
     }
     if version >= 3:
-        found["compression_format"] = "zstd" if compression else ""
-        found["compression_mode"] = compression
+        result["compression_format"] = "zstd" if compression else ""
+        result["compression_mode"] = compression
     if version >= 4:
         topic["offered_qos_profiles"] = dumped([QOS]) if version < 9 else [QOS_BY_NAME]
     if version >= 5:
-        found["files"] = [
+        result["files"] = [
             {"path": path, "starting_time": start, "duration": duration, "message_count": COUNT}
             for path in paths
         ]
     if version >= 6:
-        found["custom_data"] = None if version == 6 else {"robot": "r2"}
+        result["custom_data"] = None if version == 6 else {"robot": "r2"}
     if version >= 7:
         topic["type_description_hash"] = f"RIHS01_{0:064x}"
     if version >= 8:
-        found["ros_distro"] = "rolling"
-    return {"rosbag2_bagfile_information": found}
+        result["ros_distro"] = "rolling"
+    return {"rosbag2_bagfile_information": result}
 
 
 def rewrite(bag: Path, content: Any) -> None:
@@ -161,8 +161,8 @@ def test_every_version(
     topics = content["rosbag2_bagfile_information"]["topics_with_message_count"]
     topics[0]["message_count"] += 7
     rewrite(bag, content)
-    [said] = read_trajectory(str(bag)).reading.messages(Level.ERROR)
-    assert said == f"{bag} declares 67 messages on /pose, but 60 were read"
+    [text] = read_trajectory(str(bag)).reading.messages(Level.ERROR)
+    assert text == f"{bag} declares 67 messages on /pose, but 60 were read"
     (bag / "metadata.yaml").unlink()
     assert not assert_whole(bag)
 
@@ -251,8 +251,8 @@ def test_odd_metadata_is_not_used(
     content["rosbag2_bagfile_information"] |= change
     rewrite(bag, content)
     [note] = assert_whole(bag)
-    said = f"{bag}/metadata.yaml has no bag information; metadata.yaml ignored"
-    assert note == said
+    text = f"{bag}/metadata.yaml has no bag information; metadata.yaml ignored"
+    assert note == text
 
 
 @pytest.mark.parametrize("storage", [MCAP, SQLITE3])

@@ -58,10 +58,10 @@ def test_truncated_bags(make: Make, share: float, tmp_path: Path) -> None:
     path = make(tmp_path)
     content = path.read_bytes()
     path.write_bytes(content[: int(len(content) * share)])
-    said = refusal(path) or "; ".join(read_trajectory(str(path)).reading.messages(Level.ERROR))
-    assert said
-    assert "\n" not in said
-    assert path.name in said
+    text = refusal(path) or "; ".join(read_trajectory(str(path)).reading.messages(Level.ERROR))
+    assert text
+    assert "\n" not in text
+    assert path.name in text
     with pytest.raises(InputError):
         read_trajectory(str(path), strict=True)
 

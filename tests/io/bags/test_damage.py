@@ -61,8 +61,8 @@ def test_a_chunk_that_is_cut_off_gives_its_first_messages(
     read = read_trajectory(str(path))
     assert 0.3 * COUNT < len(read) < COUNT
     assert rows_of(read) == list(range(len(read)))
-    [said] = read.reading.messages(Level.ERROR)
-    assert f"plus {len(read)} messages of the cut chunk" in said
+    [text] = read.reading.messages(Level.ERROR)
+    assert f"plus {len(read)} messages of the cut chunk" in text
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
@@ -203,8 +203,8 @@ def test_two_hundred_places_to_cut(compression: Any, chunked: bool, tmp_path: Pa
     refused = 0
     for place in np.random.default_rng(1).integers(0, len(content), 200).tolist():
         path.write_bytes(content[:place])
-        if said := refusal(path):
-            assert "\n" not in said
+        if text := refusal(path):
+            assert "\n" not in text
             refused += 1
             continue
         read = read_trajectory(str(path))
@@ -263,6 +263,6 @@ def test_damage_is_told_and_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
             "truncated" in warning["text"] for warning in warnings if warning["level"] == "error"
         )
     assert main([*given, "--strict"]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "truncated" in said
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1
+    assert "truncated" in text

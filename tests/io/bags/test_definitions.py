@@ -77,7 +77,7 @@ def test_a_definition_with_constants_is_parsed(store: Stores) -> None:
 
 
 def test_definitions_of_real_bags(shared_data: Path) -> None:
-    found = set()
+    result = set()
     for name in ("nav2_turtlebot.mcap", "tf_example"):
         with Bag(shared_data / "bags" / name) as bag:
             for topic in bag.topics:
@@ -85,9 +85,9 @@ def test_definitions_of_real_bags(shared_data: Path) -> None:
                 if topic.type in STANDARD and recorded.language == "MSG":
                     text = recorded.definition
                     assert recorded_fields(recorded) == parsed(text, topic.type)
-                    found.add((topic.type, is_standard(text, topic.type)))
-    assert found
-    assert all(standard for _, standard in found)
+                    result.add((topic.type, is_standard(text, topic.type)))
+    assert result
+    assert all(standard for _, standard in result)
 
 
 def test_a_nested_message_of_one_kind_is_one_column() -> None:
@@ -98,11 +98,11 @@ def test_a_nested_message_of_one_kind_is_one_column() -> None:
         ("c", (("x", Repeated("f8", 2)),)),
     )
     payload = b"\0\1\0\0" + values.tobytes()
-    found = CdrPlan(fields, ["a", "b", "c.x"]).decode([payload, payload])
-    assert found.numbers["a"].tolist() == [[0.0]] * 2
-    assert found.numbers["b"].tolist() == [[1.0, 2.0]] * 2
-    assert found.numbers["c.x"].tolist() == [[3.0, 4.0]] * 2
+    result = CdrPlan(fields, ["a", "b", "c.x"]).decode([payload, payload])
+    assert result.numbers["a"].tolist() == [[0.0]] * 2
+    assert result.numbers["b"].tolist() == [[1.0, 2.0]] * 2
+    assert result.numbers["c.x"].tolist() == [[3.0, 4.0]] * 2
     mixed: Fields = (("d", (("x", "f8"), ("y", "f4"))),)
-    for given, wanted in ((fields, "c"), (mixed, "d"), (fields, "e"), (fields, "a.y")):
-        with pytest.raises(UnplannedError, match=f"no field {wanted} of a single type"):
-            CdrPlan(given, [wanted])
+    for given, expected in ((fields, "c"), (mixed, "d"), (fields, "e"), (fields, "a.y")):
+        with pytest.raises(UnplannedError, match=f"no field {expected} of a single type"):
+            CdrPlan(given, [expected])

@@ -100,11 +100,11 @@ def test_messages_of_unknown_topics_are_damage(count: int, topic: object, tmp_pa
         database.execute("UPDATE changed SET topic_id = ? WHERE id <= ?", (topic, count))
         database.executescript("DROP TABLE messages; ALTER TABLE changed RENAME TO messages")
     database.close()
-    said = f"{counted(count, 'message')} of unknown topics"
+    text = f"{counted(count, 'message')} of unknown topics"
     if count == COUNT:
-        assert said in refusal(path)
+        assert text in refusal(path)
     else:
-        assert len(assert_damaged(path, said)) == COUNT - count
+        assert len(assert_damaged(path, text)) == COUNT - count
 
 
 def shared_pages(path: Path, interior: int, *, is_deep: bool = False) -> None:
@@ -344,9 +344,9 @@ def test_a_pipe_in_a_bag_is_skipped(
     folder.mkdir()
     mcap_file(folder / "x.mcap", compression=CompressionType.NONE)
     make(folder / name)
-    found = BagFolder.of(folder)
-    assert [file.name for file in found.files] == ["x.mcap"]
-    assert ("skipped: not a file" in " ".join(found.notes)) == (name != "metadata.yaml")
+    result = BagFolder.of(folder)
+    assert [file.name for file in result.files] == ["x.mcap"]
+    assert ("skipped: not a file" in " ".join(result.notes)) == (name != "metadata.yaml")
     assert len(read_trajectory(str(folder))) == COUNT
 
 

@@ -42,9 +42,9 @@ def ros1(path: Path) -> str:
 
 
 def ulog(path: Path) -> str:
-    turns = np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (COUNT, 1))
+    rotations = np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (COUNT, 1))
     times = np.arange(1, COUNT + 1, dtype=np.uint64) * 10**6
-    attitude = {"timestamp": times, "q": turns}
+    attitude = {"timestamp": times, "q": rotations}
     axes = {axis: np.arange(COUNT, dtype=np.float32) for axis in ("x", "y", "z", "vx", "vy", "vz")}
     valid = {f"{part}_valid": np.ones(COUNT, dtype=np.uint8) for part in ("xy", "z")}
     place = {"timestamp": times, **axes, **valid}

@@ -72,12 +72,12 @@ def write_ros1(path: Path, messages: Sequence[tuple[str, str, Any]]) -> Path:
 
 def seconds(playback: Playback) -> list[tuple[str, float]]:
     """Return names and seconds of what is played; the payload must be that of the second."""
-    found = []
+    result = []
     for time, channel, payload in playback.messages():
         message: Any = STORE.deserialize_cdr(payload, channel.type)
-        found.append((channel.name, (time - BEGIN) / SECOND))
-        assert message.point.x == found[-1][1]
-    return found
+        result.append((channel.name, (time - BEGIN) / SECOND))
+        assert message.point.x == result[-1][1]
+    return result
 
 
 def everything(kind: str) -> bool:

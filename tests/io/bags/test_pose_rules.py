@@ -104,7 +104,7 @@ def edge(stamps: list[int], *, is_static: bool = False, seed: int = 0) -> Edge:
 
 def test_an_edge_is_interpolated_between_its_transforms_and_exact_at_them() -> None:
     result = edge([10, 20, 50])
-    places, turns = result.at(np.array([10, 12, 20, 35, 50]))
+    places, rotations = result.at(np.array([10, 12, 20, 35, 50]))
     assert np.array_equal(places[[0, 2, 4]], result.translations)
     np.testing.assert_allclose(
         places[1], 0.8 * result.translations[0] + 0.2 * result.translations[1]
@@ -113,7 +113,7 @@ def test_an_edge_is_interpolated_between_its_transforms_and_exact_at_them() -> N
         places[3], 0.5 * result.translations[1] + 0.5 * result.translations[2]
     )
     expected = Slerp(result.stamps, Rotation.from_quat(result.quaternions))([10, 12, 20, 35, 50])
-    between = Rotation.from_quat(turns).inv() * expected
+    between = Rotation.from_quat(rotations).inv() * expected
     assert between.magnitude().max() < 1e-14
 
 
@@ -126,9 +126,9 @@ def test_edges_that_meet_in_one_instant_have_one_pose() -> None:
         compose_transforms(edges, "a", "c", "t")
     still = {("a", "b"): edge([0], is_static=True), ("b", "c"): edge([9])}
     assert find_way(still, "c", "a", "t") == [(("b", "c"), False), (("a", "b"), False)]
-    position, turn = fixed_transform(still, "b", "a", "t")
+    position, rotation = fixed_transform(still, "b", "a", "t")
     inverse = Rotation.from_quat(still["a", "b"].quaternions[0]).inv()
     np.testing.assert_allclose(position, -inverse.apply(still["a", "b"].translations[0]))
-    assert (Rotation.from_quat(turn) * inverse.inv()).magnitude() < 1e-14
+    assert (Rotation.from_quat(rotation) * inverse.inv()).magnitude() < 1e-14
     with pytest.raises(InputError, match="unknown frame c; use one of"):
         fixed_transform(still, "a", "c", "t")

@@ -44,9 +44,9 @@ def assert_same(found: InertialReadings, expected: InertialReadings, rows: Any =
 
 def test_messages_of_an_imu_are_decoded() -> None:
     source = readings()
-    found = decode_rates(payloads(source))
-    assert_same(found, source)
-    assert (found.frame, found.undecodable) == ("imu", 0)
+    result = decode_rates(payloads(source))
+    assert_same(result, source)
+    assert (result.frame, result.undecodable) == ("imu", 0)
     nothing = decode_rates([])
     assert (len(nothing), nothing.frame) == (0, "")
 
@@ -62,10 +62,10 @@ def test_readings_that_are_no_numbers_are_counted(
 ) -> None:
     source = readings()
     getattr(source, part)[4, 2] = value
-    found = decode_rates([*payloads(source), b"\0\1\0\0short"])
+    result = decode_rates([*payloads(source), b"\0\1\0\0short"])
     rows = np.arange(9) if is_kept else np.delete(np.arange(9), 4)
-    assert_same(found, source, rows)
-    assert found.undecodable == 1 + (not is_kept)
+    assert_same(result, source, rows)
+    assert result.undecodable == 1 + (not is_kept)
 
 
 def test_messages_of_another_type_are_counted() -> None:
@@ -86,10 +86,10 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_topic_of_a_bag_is_read_as_written(bag: Path) -> None:
-    found = read_rates(bag, "/imu")
-    assert_same(found, readings())
-    assert (found.frame, found.source, found.undecodable) == ("imu", f"{bag}:/imu", 0)
-    assert found.damage == ()
+    result = read_rates(bag, "/imu")
+    assert_same(result, readings())
+    assert (result.frame, result.source, result.undecodable) == ("imu", f"{bag}:/imu", 0)
+    assert result.damage == ()
 
 
 def test_readings_are_in_the_order_of_their_recording(tmp_path: Path) -> None:
@@ -101,12 +101,12 @@ def test_readings_are_in_the_order_of_their_recording(tmp_path: Path) -> None:
     for name, source in (("a", late), ("b", early)):
         write_bag(tmp_path / name, {}, inertial={"/imu": source})
         (tmp_path / name / f"{name}.mcap").rename(folder / f"{name}.mcap")
-    found = read_rates(folder, "/imu")
-    assert found.stamps.tolist() == [*early.stamps.tolist(), *late.stamps.tolist()]
-    np.testing.assert_array_equal(found.rates, np.concatenate([early.rates, late.rates]))
-    assert found.accelerations is not None
+    result = read_rates(folder, "/imu")
+    assert result.stamps.tolist() == [*early.stamps.tolist(), *late.stamps.tolist()]
+    np.testing.assert_array_equal(result.rates, np.concatenate([early.rates, late.rates]))
+    assert result.accelerations is not None
     assert early.accelerations is not None
-    np.testing.assert_array_equal(found.accelerations[:4], early.accelerations)
+    np.testing.assert_array_equal(result.accelerations[:4], early.accelerations)
 
 
 def test_what_is_no_imu_is_refused(bag: Path, tmp_path: Path) -> None:

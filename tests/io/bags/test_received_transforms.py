@@ -72,11 +72,11 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
     by = {key: (item, ReceiveTimes(item["time"])) for key, item in received.items()}
     way, leading, _ = find_chain(edges, "map", "tool", "t")
     assert leading == ODOM
-    found = compose_received(ReceivedChain(edges, way, leading), by)
-    receptions = found.reading.receptions
+    result = compose_received(ReceivedChain(edges, way, leading), by)
+    receptions = result.reading.receptions
     assert receptions is not None
     assert receptions.corrected is not None
-    assert found.quaternions is not None
+    assert result.quaternions is not None
     odometry = received[ODOM]  # it has the most transforms
     is_newer = np.diff(np.maximum.accumulate(odometry["stamp"]), prepend=0) > 0
     used = [received[MAP]["time"], received[ARM]["time"], odometry["time"][is_newer]]
@@ -96,14 +96,14 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
             newest = known[-1]
             if key == ODOM:
                 newest = known[int(item["stamp"][known].argmax())]
-                assert found.stamps[row] == item["stamp"][newest]
+                assert result.stamps[row] == item["stamp"][newest]
             else:
                 corrected = max(corrected, int(item["time"][newest]))
             product = product @ np.linalg.matrix_power(as_matrix(item["numbers"][newest]), power)
         assert receptions.corrected[row] == corrected
-        np.testing.assert_allclose(found.positions[row], product[:3, 3], atol=1e-12)
-        turned = Rotation.from_quat(found.quaternions[row]).as_matrix()
-        np.testing.assert_allclose(turned, product[:3, :3], atol=1e-12)
+        np.testing.assert_allclose(result.positions[row], product[:3, 3], atol=1e-12)
+        rotated = Rotation.from_quat(result.quaternions[row]).as_matrix()
+        np.testing.assert_allclose(rotated, product[:3, :3], atol=1e-12)
 
 
 @settings(max_examples=12)
@@ -126,36 +126,41 @@ def test_poses_do_not_depend_on_the_batches_of_transforms(
         numbers[rng.choice(count, size=count // 8), 3:] = 0.0
         received[key] = transforms_of(stamps, numbers, times)
     way = [(MAP, True), (ODOM, True)]
-    wanted = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM).poses(received, at_end=True)
-    assert len(wanted) > 50
-    chain, found = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM), []
+    expected = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM).poses(received, at_end=True)
+    assert len(expected) > 50
+    chain, result = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM), []
     edges = 10**15 + np.sort(rng.integers(0, seconds * 10**9, size=parts))
     for begin, end in zip([0, *edges], [*edges, 10**16], strict=True):
         new = {
             key: item[(item["time"] >= begin) & (item["time"] < end)]
             for key, item in received.items()
         }
-        found.append(chain.poses(new, at_end=end == 10**16))
-    for name, column in columns_of(wanted).items():
-        joined = np.concatenate([columns_of(item)[name] for item in found])
+        result.append(chain.poses(new, at_end=end == 10**16))
+    for name, column in columns_of(expected).items():
+        joined = np.concatenate([columns_of(item)[name] for item in result])
         np.testing.assert_allclose(joined, column, atol=1e-14, err_msg=name)
 
 
 def test_a_transform_received_with_the_newest_pose_holds_just_after_it() -> None:
     """Simulated time stands still now and then, and messages of a topic can overtake others."""
     chain = ReceivedChain({MAP: MOVING, ODOM: MOVING}, [(MAP, True), (ODOM, True)], ODOM)
-    turn = [0.0, 0.0, 0.0, 1.0]
+    rotation = [0.0, 0.0, 0.0, 1.0]
 
     def at(stamp: int, time: int, x: float) -> Transforms:
-        return transforms_of(np.array([stamp]), np.array([[x, 0.0, 0.0, *turn]]), np.array([time]))
+        return transforms_of(
+            np.array([stamp]), np.array([[x, 0.0, 0.0, *rotation]]), np.array([time])
+        )
 
     odometry = at(STEP, 9, 2.0)
     assert len(chain.poses({MAP: at(5, 9, 1.0), ODOM: odometry})) == 0  # the first waits
     first = columns_of(chain.poses({ODOM: at(STEP + 1, 10, 2.0)}))
     assert (first["times"].tolist(), first["positions"][:, 0].tolist()) == ([9, 10], [3.0, 3.0])
     for new, time, x in ((10, 11, 7.0), (4, 12, 9.0)):
-        found = columns_of(chain.poses({MAP: at(6, new, x)}))
-        assert (found["times"].tolist(), found["positions"][:, 0].tolist()) == ([time], [x + 2.0])
-        assert found["corrected"].tolist() == [time]
+        result = columns_of(chain.poses({MAP: at(6, new, x)}))
+        assert (result["times"].tolist(), result["positions"][:, 0].tolist()) == (
+            [time],
+            [x + 2.0],
+        )
+        assert result["corrected"].tolist() == [time]
     unusable = [at(0, 20, 1.0), at(7, UNKNOWN, 1.0)]
     assert len(chain.poses({MAP: np.concatenate(unusable)})) == 0

@@ -69,9 +69,9 @@ def damaged(path: Path, place: int, content: bytes) -> Path:
 def lost_of(path: Path, *words: str) -> Trajectory:
     """Read a topic; check that its damage is told, and that it is refused strictly."""
     read = read_trajectory(f"{path}:/a")
-    said = "; ".join(read.reading.messages(Level.ERROR))
+    text = "; ".join(read.reading.messages(Level.ERROR))
     for word in (*words, f"declares {COUNT} messages on /a, but {len(read)} were read"):
-        assert word in said
+        assert word in text
     with pytest.raises(InputError):
         read_trajectory(f"{path}:/a", strict=True)
     assert (np.diff(read.positions[:, 0]) > 0).all()

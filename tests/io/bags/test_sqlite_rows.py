@@ -83,19 +83,19 @@ def read(
     path: Path, topics: Iterable[int], begin: int | None = None
 ) -> tuple[list[Message], list[Message]]:
     """Return the messages of some topics: by the reader, and by a query."""
-    wanted = frozenset(topics)
+    expected = frozenset(topics)
     reader = SqliteReader(path, path.name)
     try:
-        blocks = reader.blocks([TopicSelection(wanted)], begin)
+        blocks = reader.blocks([TopicSelection(expected)], begin)
         whole = rows_of(blocks)
     finally:
         reader.close()
     database = opened(path)
-    marks = ",".join("?" * len(wanted))
+    marks = ",".join("?" * len(expected))
     queried = database.execute(
         f"SELECT topic_id, timestamp, ifnull(CAST(data AS BLOB), x'') FROM messages "
         f"WHERE topic_id IN ({marks}) AND timestamp >= ? ORDER BY id",
-        (*wanted, -(2**63) if begin is None else begin),
+        (*expected, -(2**63) if begin is None else begin),
     ).fetchall()
     database.close()
     return whole, queried
@@ -268,9 +268,9 @@ def test_pages_that_lead_to_themselves(tmp_path: Path) -> None:
         with_change(path, lead_to(number))
         reader = SqliteReader(path, path.name)
         selection = TopicSelection(frozenset({1}))
-        found = rows_of(reader.blocks([selection]))
+        result = rows_of(reader.blocks([selection]))
         reader.close()
-        assert set(found) <= set(rows)
+        assert set(result) <= set(rows)
         # sqlite reads the pages of another table, or a page several times, without an error.
         assert selection.damage or number in (1, leaf)
 

@@ -46,8 +46,8 @@ def test_tables_of_all_kinds_are_read_as_written(
             two.append(stamps)
             writer.add(b"TWO_", stamps)
     writer.close()
-    found = read_chunks(path, KINDS, "tables/1", "table")
-    tables = {magic: np.concatenate(found.rows_of(kind)) for magic, kind in KINDS.items()}
+    result = read_chunks(path, KINDS, "tables/1", "table")
+    tables = {magic: np.concatenate(result.rows_of(kind)) for magic, kind in KINDS.items()}
     expected = np.concatenate([np.zeros(0), *one])
     first, second = (tables[b"ONE_"][name].tolist() for name in KINDS[b"ONE_"].names or ())
     assert (first, second) == (
@@ -56,10 +56,10 @@ def test_tables_of_all_kinds_are_read_as_written(
     )
     [name] = KINDS[b"TWO_"].names or ()
     assert tables[b"TWO_"][name].tolist() == np.concatenate([np.zeros(0), *two]).tolist()
-    assert (found.torn, found.description) == (0, {"format": "tables/1"})
-    assert [len(rows) for rows in found.rows] == [rows for _, rows in chunks if rows]
+    assert (result.torn, result.description) == (0, {"format": "tables/1"})
+    assert [len(rows) for rows in result.rows] == [rows for _, rows in chunks if rows]
     texts = [place for place, (is_one, _) in enumerate(chunks) if is_one]
-    assert found.told == sum(rows > 0 for _, rows in chunks[: texts[-1] if texts else 0])
+    assert result.told == sum(rows > 0 for _, rows in chunks[: texts[-1] if texts else 0])
     with pytest.raises(InputError, match="tables has schema tables/1"):
         read_chunks(path, KINDS, "tables/2", "table")
 
@@ -72,8 +72,8 @@ def test_a_chunk_waits_if_there_is_memory_for_it(tmp_path: Path, more: int) -> N
         assert writer.add(b"TWO_", np.zeros(10, dtype=np.int64))
         assert writer.add(b"TWO_", np.zeros(3 + more, dtype=np.int64)) == (not more)
     writer.close()
-    found = read_chunks(tmp_path / "x", KINDS, "tables/1", "table").rows
-    assert sum(map(len, found)) == (10 if more else 13)
+    result = read_chunks(tmp_path / "x", KINDS, "tables/1", "table").rows
+    assert sum(map(len, result)) == (10 if more else 13)
 
 
 def test_a_text_longer_than_that_of_any_run_ends_a_file(tmp_path: Path) -> None:
@@ -125,6 +125,6 @@ def test_fixes_are_read_as_written(tmp_path: Path) -> None:
     for part in (slice(0, 3), slice(3, 7)):
         writer.append(np.arange(7)[part], fixes_of_rows(rows[part, :3], rows[part, 3:]))
     writer.close()
-    stamps, found, remarks = read_fix_rows(tmp_path)
+    stamps, result, remarks = read_fix_rows(tmp_path)
     assert (stamps.tolist(), remarks) == (list(range(7)), [])
-    np.testing.assert_array_equal(found, rows)
+    np.testing.assert_array_equal(result, rows)

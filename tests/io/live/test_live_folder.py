@@ -58,23 +58,23 @@ def trajectories() -> list[Trajectory]:
 def test_states_are_evaluated_with_the_settings_of_the_run(tmp_path: Path) -> None:
     write_estimate(tmp_path / "vio.states")
     outcome = evaluate_folder(tmp_path)
-    [found] = outcome.runs
+    [result] = outcome.runs
     expected = evaluate(*trajectories(), Protocol(gauge="yaw", lengths=("2m", "4m")))
-    assert found.evaluation.protocol.lengths == expected.protocol.lengths
+    assert result.evaluation.protocol.lengths == expected.protocol.lengths
     for name, statistics in expected.ate.items():
-        mine = found.evaluation.ate[name]
+        mine = result.evaluation.ate[name]
         assert (mine is None) == (statistics is None)
         if mine is not None and statistics is not None:
             assert mine.rmse == pytest.approx(statistics.rmse, rel=1e-12)
-    relative = found.evaluation.relative or ()
+    relative = result.evaluation.relative or ()
     assert [item.count for item in relative] == [item.count for item in expected.relative or ()]
-    groundtruth, estimate = outcome.groundtruth, found.estimate
+    groundtruth, estimate = outcome.groundtruth, result.estimate
     assert (groundtruth.source, groundtruth.poses) == ("/truth", COUNT)
     assert (estimate.source, estimate.name, estimate.duration_s) == ("/vio", "vio", 9.95)
     assert (groundtruth.frame, groundtruth.child_frame) == ("map", "marker")
     assert (estimate.frame, estimate.child_frame) == ("odom", "base_link")
-    assert found.live == STATE["live"]
-    assert [remark.code for remark in found.evaluation.remarks if "live_run" in remark.code] == []
+    assert result.live == STATE["live"]
+    assert [remark.code for remark in result.evaluation.remarks if "live_run" in remark.code] == []
 
 
 @pytest.mark.parametrize("later", [0, 1, 30])
@@ -82,16 +82,16 @@ def test_states_are_evaluated_with_the_settings_of_the_run(tmp_path: Path) -> No
 def test_an_end_without_the_last_counts_is_told(tmp_path: Path, later: int, torn: int) -> None:
     path = write_estimate(tmp_path / "vio.states", at=COUNT - later)
     path.write_bytes(path.read_bytes() + b"x" * torn)
-    [found] = evaluate_folder(tmp_path).runs
-    said = {remark.code: remark.text for remark in found.evaluation.remarks}
-    assert ("live_run_stopped" in said) == bool(later or torn)
-    assert ("damaged_states" in said) == bool(torn)
+    [result] = evaluate_folder(tmp_path).runs
+    text = {remark.code: remark.text for remark in result.evaluation.remarks}
+    assert ("live_run_stopped" in text) == bool(later or torn)
+    assert ("damaged_states" in text) == bool(torn)
     if later or torn:
         poses = "1 pose" if later == 1 else f"{later} poses"
-        assert f"are from {poses} before the end" in said["live_run_stopped"]
+        assert f"are from {poses} before the end" in text["live_run_stopped"]
     if torn:
         count = "1 byte" if torn == 1 else f"{torn} bytes"
-        assert said["damaged_states"] == (
+        assert text["damaged_states"] == (
             f"vio.states is damaged or truncated: the last {count} can't be read"
         )
 
@@ -101,11 +101,11 @@ def test_estimates_are_in_the_order_of_their_configuration(tmp_path: Path) -> No
         write_estimate(tmp_path / f"{name}.states", place=place)
     (tmp_path / "d.states").write_bytes(b"nothing")
     StateWriter(tmp_path / "e.states", {**DESCRIPTION, "name": "e"}).close()
-    found = evaluate_folder(tmp_path)
-    assert [item.estimate.name for item in found.runs] == ["b", "c", "a"]
-    assert [item.name for item in found.failed] == ["d", "e"]
-    assert found.failed[1].reason == "e: no pose so far"
-    codes = [finding.cause for finding in found.runs[1].diagnosis.findings]
+    result = evaluate_folder(tmp_path)
+    assert [item.estimate.name for item in result.runs] == ["b", "c", "a"]
+    assert [item.name for item in result.failed] == ["d", "e"]
+    assert result.failed[1].reason == "e: no pose so far"
+    codes = [finding.cause for finding in result.runs[1].diagnosis.findings]
     assert "same_estimate" in codes
 
 
@@ -131,9 +131,9 @@ def test_a_frozen_alignment_is_that_of_its_states(tmp_path: Path) -> None:
         folder = tmp_path / str(aligned_by)
         folder.mkdir()
         write_estimate(folder / "vio.states", state_with(aligned_by=aligned_by))
-        found = evaluate_folder(folder).runs[0].evaluation
-        assert found.protocol.align_states == aligned_by
-        assert found.alignment.states_used == (aligned_by or COUNT)
+        result = evaluate_folder(folder).runs[0].evaluation
+        assert result.protocol.align_states == aligned_by
+        assert result.alignment.states_used == (aligned_by or COUNT)
     assert evaluate_folder(folder, None, "poses").runs[0].evaluation.protocol.align_with == "poses"
 
 
@@ -169,14 +169,14 @@ def test_revised_poses_are_judged_and_the_causal_errors_kept(tmp_path: Path) -> 
     writer = StateWriter(tmp_path / "vio.revised", DESCRIPTION)
     writer.append(trajectory(stamps[10:60], truth[10:60]))
     writer.close()
-    [found] = evaluate_folder(tmp_path).runs
-    revised = found.evaluation.ate["position_m"]
+    [result] = evaluate_folder(tmp_path).runs
+    revised = result.evaluation.ate["position_m"]
     assert revised is not None
     assert revised.rmse < 1e-6 < causal.rmse
-    assert found.live is not None
-    assert found.live["causal_ate"]["position_m"]["rmse"] == causal.rmse
-    assert found.live["messages_lost"] == 0
-    assert (found.estimate.poses, found.estimate.duration_s) == (50, 49 * STEP_NS / 1e9)
+    assert result.live is not None
+    assert result.live["causal_ate"]["position_m"]["rmse"] == causal.rmse
+    assert result.live["messages_lost"] == 0
+    assert (result.estimate.poses, result.estimate.duration_s) == (50, 49 * STEP_NS / 1e9)
 
 
 @pytest.mark.parametrize("gauge", ["yaw", "planar"])
@@ -185,9 +185,9 @@ def test_up_axes_are_those_of_the_run_or_as_requested(tmp_path: Path, gauge: str
     state = state_with(groundtruth__up=ups[0], estimate__up=ups[1], settings__gauge=gauge)
     write_estimate(tmp_path / "vio.states", state)
     for up, expected in ((None, ["-y", "z"]), (("x", "-z"), ["x", "-z"])):
-        found = evaluate_folder(tmp_path, Request(up=up))
-        assert [found.groundtruth.up.name, found.runs[0].estimate.up.name] == expected
-        assert found.runs[0].evaluation.protocol.gauge.value == gauge
+        result = evaluate_folder(tmp_path, Request(up=up))
+        assert [result.groundtruth.up.name, result.runs[0].estimate.up.name] == expected
+        assert result.runs[0].evaluation.protocol.gauge.value == gauge
 
 
 def test_the_transform_of_the_run_is_applied_and_can_be_replaced(tmp_path: Path) -> None:
@@ -196,13 +196,13 @@ def test_the_transform_of_the_run_is_applied_and_can_be_replaced(tmp_path: Path)
     other = CalibrationRequest(known=HandEye.of(None, np.array([1.0, 0.0, 0.0])))
     live = CalibrationRequest(known=POSE)
     for given, known in ((None, live), (Request(calibration=other), other)):
-        [found] = evaluate_folder(tmp_path, given).runs
+        [result] = evaluate_folder(tmp_path, given).runs
         request = Request(Protocol(gauge="yaw", lengths=("2m", "4m")), known)
         truth, estimate = trajectories()
         [expected] = run(truth, [estimate], request).runs
-        assert found.calibrated is not None
+        assert result.calibrated is not None
         for name, statistics in expected.evaluation.ate.items():
-            mine = found.evaluation.ate[name]
+            mine = result.evaluation.ate[name]
             assert (mine is None) == (statistics is None)
             assert (
                 mine is None or statistics is None or mine.rmse == pytest.approx(statistics.rmse)
@@ -213,9 +213,9 @@ def test_states_of_the_next_run_are_left_out(tmp_path: Path) -> None:
     stamps, *_ = columns()
     offset = state_with(until_ns=int(stamps[120]) + 1)
     write_estimate(tmp_path / "vio.states", offset)
-    found = evaluate_folder(tmp_path).runs[0].evaluation.association
-    assert found.estimate.stamps.tolist() == stamps[:121].tolist()
-    assert found.coverage.covered == pytest.approx(120 / 121)
+    result = evaluate_folder(tmp_path).runs[0].evaluation.association
+    assert result.estimate.stamps.tolist() == stamps[:121].tolist()
+    assert result.coverage.covered == pytest.approx(120 / 121)
 
 
 def test_rows_that_are_no_states_are_counted(tmp_path: Path) -> None:
@@ -229,10 +229,10 @@ def test_rows_that_are_no_states_are_counted(tmp_path: Path) -> None:
         writer.append(Trajectory(stamps, rows[:, :3], lie.normalized(rows[:, 3:7])))
         writer.tell(STATE)
         writer.close()
-    found = evaluate_folder(tmp_path).runs[0].evaluation
-    assert len(found.association) == COUNT - 2
-    assert found.estimate.reading.dropped == {"not_finite": 2}
-    assert found.groundtruth.reading.dropped == {"not_finite": 1}
+    result = evaluate_folder(tmp_path).runs[0].evaluation
+    assert len(result.association) == COUNT - 2
+    assert result.estimate.reading.dropped == {"not_finite": 2}
+    assert result.groundtruth.reading.dropped == {"not_finite": 1}
 
 
 def test_identity_rotations_are_left_out_as_from_a_bag(tmp_path: Path) -> None:
@@ -242,15 +242,15 @@ def test_identity_rotations_are_left_out_as_from_a_bag(tmp_path: Path) -> None:
     writer.append(trajectory(stamps, truth))
     writer.close()
     write_estimate(tmp_path / "vio.states")
-    found = evaluate_folder(tmp_path).runs[0].evaluation
-    assert found.groundtruth.quaternions is None
-    assert found.association.rule.method == "linear"
+    result = evaluate_folder(tmp_path).runs[0].evaluation
+    assert result.groundtruth.quaternions is None
+    assert result.association.rule.method == "linear"
 
 
 def test_settings_of_finish_are_used_where_it_has_some(tmp_path: Path) -> None:
     write_estimate(tmp_path / "vio.states", state_with(time_offset_s=0.05))
-    [found] = evaluate_folder(tmp_path).runs
-    assert found.evaluation.association.rule.time_offset_s == 0.05
+    [result] = evaluate_folder(tmp_path).runs
+    assert result.evaluation.association.rule.time_offset_s == 0.05
     path = tmp_path / "vio.states"
     recorded = read_states(path)
     assert dataclasses.replace(recorded, later=0).state["time_offset_s"] == 0.05
@@ -267,10 +267,10 @@ def test_poses_of_an_unknown_reception_are_not_available(tmp_path: Path, unknown
     writer.tell(STATE)
     writer.close()
     request = Request(available=AvailabilityRule("hold"))
-    [found] = evaluate_folder(tmp_path, request).runs
-    assert found.available is not None
-    available = found.available.numbers
-    assert len(found.evaluation.association) == COUNT
+    [result] = evaluate_folder(tmp_path, request).runs
+    assert result.available is not None
+    available = result.available.numbers
+    assert len(result.evaluation.association) == COUNT
     if unknown == COUNT:
         assert "no times of reception" in available.why_withheld
         return
@@ -292,10 +292,10 @@ def test_poses_lost_to_damage_are_told(tmp_path: Path, name: str) -> None:
         writer.close()
     content = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(content[:-1])
-    [found] = evaluate_folder(tmp_path).runs
-    said = [item.text for item in found.evaluation.remarks if item.code == "damaged_states"]
-    assert len(said) == 1
-    assert f"{name} is damaged or truncated: the last " in said[0]
+    [result] = evaluate_folder(tmp_path).runs
+    text = [item.text for item in result.evaluation.remarks if item.code == "damaged_states"]
+    assert len(text) == 1
+    assert f"{name} is damaged or truncated: the last " in text[0]
 
 
 @pytest.mark.parametrize("torn", ["", "x"])

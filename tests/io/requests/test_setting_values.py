@@ -64,9 +64,9 @@ def test_settings_of_a_live_run_fill_in_defaults_that_are_not_of_the_protocol() 
     plain = settings_with(request, {})
     assert plain == {name: setting.of(request) for name, setting in SETTINGS.items()}
     stated = {"hand_eye": "x.yaml", "covariance": "none", "gauge": "se3", "deadline": 0.5}
-    found = settings_with(request, stated)
-    assert (found["hand_eye"], found["deadline"]) == ("x.yaml", 0.5)
-    assert (found["covariance"], found["gauge"]) == (plain["covariance"], "yaw")
+    result = settings_with(request, stated)
+    assert (result["hand_eye"], result["deadline"]) == ("x.yaml", 0.5)
+    assert (result["covariance"], result["gauge"]) == (plain["covariance"], "yaw")
     assert settings_with(request, {"time_offset": "auto"})["time_offset"] == "auto"
     # It is of the protocol and of the calibration.
     assert settings_with(request, {"time_offset": "0.5"})["time_offset"] == "0.5"
@@ -105,11 +105,11 @@ def test_a_written_joint_covariance_is_read(
     path = tmp_path_factory.getbasetemp() / "joint.npz"
     source = joint(seed, count, block)
     write_joint_covariance(path, source)
-    found = read_joint_covariance(path)
+    result = read_joint_covariance(path)
     for name in ("stamps", "positions", "quaternions", "covariance"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(source, name), err_msg=name)
-    np.testing.assert_array_equal(dense(found.information), dense(source.information))
-    assert (found.block, found.gauge) == (block, "prior")
+        np.testing.assert_array_equal(getattr(result, name), getattr(source, name), err_msg=name)
+    np.testing.assert_array_equal(dense(result.information), dense(source.information))
+    assert (result.block, result.gauge) == (block, "prior")
 
 
 def arrays(source: JointCovariance, **changes: Any) -> dict[str, Any]:
@@ -136,19 +136,24 @@ def test_perturbations_on_the_right_are_turned(
     if not is_dense:
         parts = {f"info_{name}": getattr(sparse, name) for name in ("data", "indices", "indptr")}
     write_arrays(path, arrays(source, perturbation="right", **parts))
-    found = read_joint_covariance(path)
-    turn = np.eye(3 * block)
+    result = read_joint_covariance(path)
+    rotation_step = np.eye(3 * block)
     rotations = Rotation.from_quat(source.quaternions).as_matrix()
     for row, rotation in enumerate(rotations):
         begin = row * block + 3
-        turn[begin : begin + 3, begin : begin + 3] = rotation
+        rotation_step[begin : begin + 3, begin : begin + 3] = rotation
     assert source.covariance is not None
-    assert found.covariance is not None
-    np.testing.assert_allclose(found.covariance, turn @ source.covariance @ turn.T, rtol=1e-12)
+    assert result.covariance is not None
     np.testing.assert_allclose(
-        dense(found.information), turn @ information @ turn.T, rtol=1e-9, atol=1e-12
+        result.covariance, rotation_step @ source.covariance @ rotation_step.T, rtol=1e-12
     )
-    assert found.gauge == "unknown"
+    np.testing.assert_allclose(
+        dense(result.information),
+        rotation_step @ information @ rotation_step.T,
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    assert result.gauge == "unknown"
     write_arrays(path, arrays(source, perturbation="left", **parts))
     left = read_joint_covariance(path)
     assert left.covariance is not None

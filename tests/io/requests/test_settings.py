@@ -151,8 +151,8 @@ def test_options_keys_and_parameters_are_those_of_the_rows() -> None:
 def test_values_of_yaml_are_those_of_the_command_line(
     name: str, value: Any, expected: Any
 ) -> None:
-    found = SETTINGS[name].of_yaml(value)
-    assert (found, type(found)) == (expected, type(expected))
+    result = SETTINGS[name].of_yaml(value)
+    assert (result, type(result)) == (expected, type(expected))
 
 
 @pytest.mark.parametrize(

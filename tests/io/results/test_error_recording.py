@@ -215,9 +215,9 @@ def test_live_errors_under_the_last_alignment_are_the_recorded_ones(
 @pytest.mark.parametrize("gauge", ["yaw", "planar", "se3"])
 def test_vectors_are_about_the_groundtruth_frame_s_own_axes(gauge: str, tmp_path: Path) -> None:
     pair, up = make_pair(5, 100, smooth=True), UpAxis("-y")
-    turn = Similarity(up.matrix.T, np.zeros(3))
+    rotation = Similarity(up.matrix.T, np.zeros(3))
     lying = [
-        dataclasses.replace(turn.trajectory(item), up=up)
+        dataclasses.replace(rotation.trajectory(item), up=up)
         for item in (pair.groundtruth, pair.estimate)
     ]
     vectors = {}
@@ -314,9 +314,9 @@ def test_unknown_rotations_stand_as_identities(tmp_path: Path) -> None:
     write_error_recording(tmp_path / "errors.mcap", run(pair.groundtruth, [estimate]))
     topics = read_recording(tmp_path / "errors.mcap")
     [path] = [topic for topic in topics if topic.endswith("aligned_path")]
-    turned = topics[path].messages[0].poses[0].pose.orientation
+    rotated = topics[path].messages[0].poses[0].pose.orientation
     [alignment] = [topic for topic in topics if topic.endswith("/alignment")]
-    turn = topics[alignment].messages[0].transform.rotation
-    both = [[item.x, item.y, item.z, item.w] for item in (turned, turn)]
+    rotation = topics[alignment].messages[0].transform.rotation
+    both = [[item.x, item.y, item.z, item.w] for item in (rotated, rotation)]
     assert np.abs(lie.multiply(*np.array(both)[:, None])).shape == (1, 4)
     assert both[0] == pytest.approx(both[1], abs=1e-12)

@@ -67,10 +67,10 @@ def test_what_is_unknown_of_a_calibration_is_null() -> None:
     lacking.calibration.lever = nan
     result = calibration_json(lacking)
     assert result["errors_of"] == "body"
-    offset, turn = result["time_offset"], result["hand_eye"]["rotation"]
+    offset, rotation = result["time_offset"], result["hand_eye"]["rotation"]
     assert offset["value_s"] is offset["sigma_s"] is offset["half_width_95_s"] is None
     for name in ("xyzw", "angle_deg", "sigma_deg", "half_width_95_deg"):
-        assert turn[name] is None
+        assert rotation[name] is None
     assert result["hand_eye"]["lever_arm"]["sigma_m"] == [pytest.approx(0.3), None, 0.5]
     lacking.calibration.lever = unknown
     assert calibration_json(lacking)["hand_eye"]["lever_arm"]["value_m"] is None

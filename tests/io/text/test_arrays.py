@@ -24,11 +24,11 @@ FLIGHT = simulate(seed=5, duration_s=20.0).estimate
 
 
 def matrices() -> np.ndarray:
-    found = np.tile(np.eye(4), (len(FLIGHT), 1, 1))
+    result = np.tile(np.eye(4), (len(FLIGHT), 1, 1))
     assert FLIGHT.quaternions is not None
-    found[:, :3, :3] = lie.to_matrix(FLIGHT.quaternions)
-    found[:, :3, 3] = FLIGHT.positions
-    return found
+    result[:, :3, :3] = lie.to_matrix(FLIGHT.quaternions)
+    result[:, :3, 3] = FLIGHT.positions
+    return result
 
 
 def rows() -> np.ndarray:
@@ -133,11 +133,11 @@ def test_json_lines(tmp_path: Path) -> None:
             {
                 "time": stamp / 1e9,
                 "position": dict(zip("xyz", place, strict=True)),
-                "orientation": dict(zip("xyzw", turn, strict=True)),
+                "orientation": dict(zip("xyzw", rotation, strict=True)),
                 "status": "TRACKING",
             }
         )
-        for stamp, place, turn in zip(
+        for stamp, place, rotation in zip(
             FLIGHT.stamps.tolist(),
             FLIGHT.positions.tolist(),
             FLIGHT.quaternions.tolist(),

@@ -31,13 +31,13 @@ def test_named_columns(names: tuple[str, str, str], separator: str, tmp_path: Pa
     ]
     header = separator.join(["time", *names, "sigma_e", "sigma_n", "sigma_u"])
     file.write_text("\n".join([header, *rows]))
-    found = read_trajectory(file)
-    assert found.kind == "gnss"
-    assert found.reading.fixes is not None
-    np.testing.assert_array_equal(found.reading.fixes.places, PLACES)
-    np.testing.assert_array_equal(found.stamps, 1_700_000_000 * 10**9 + np.arange(30) * 10**6)
-    np.testing.assert_allclose(found.reading.fixes.sigma_level_m, 0.02)
-    np.testing.assert_allclose(found.reading.fixes.sigma_up_m, 0.03)
+    result = read_trajectory(file)
+    assert result.kind == "gnss"
+    assert result.reading.fixes is not None
+    np.testing.assert_array_equal(result.reading.fixes.places, PLACES)
+    np.testing.assert_array_equal(result.stamps, 1_700_000_000 * 10**9 + np.arange(30) * 10**6)
+    np.testing.assert_allclose(result.reading.fixes.sigma_level_m, 0.02)
+    np.testing.assert_allclose(result.reading.fixes.sigma_up_m, 0.03)
 
 
 def test_columns_without_height_and_with_status(tmp_path: Path) -> None:
@@ -47,10 +47,10 @@ def test_columns_without_height_and_with_status(tmp_path: Path) -> None:
         for row, (latitude, longitude, _) in enumerate(PLACES.tolist())
     ]
     file.write_text("# t latitude longitude status\n" + "\n".join(rows))
-    found = read_trajectory(file)
-    assert found.reading.fixes is not None
-    assert not found.reading.fixes.have_heights
-    assert found.reading.dropped == {"no_fix": 10}
+    result = read_trajectory(file)
+    assert result.reading.fixes is not None
+    assert not result.reading.fixes.have_heights
+    assert result.reading.dropped == {"no_fix": 10}
 
 
 def test_nmea(tmp_path: Path) -> None:
@@ -64,17 +64,17 @@ def test_nmea(tmp_path: Path) -> None:
         lines.append("$GNGSA,A,3,01*00")
     lines[6] = lines[6][:30] + "9" + lines[6][31:]  # a bit that fell over
     file.write_text("\r\n".join(lines))
-    found = read_trajectory(file)
+    result = read_trajectory(file)
     kept = np.arange(30) != 3
-    assert found.reading.dropped == {"undecodable": 1}
+    assert result.reading.dropped == {"undecodable": 1}
     expected = int(begin) * 10**9 + np.arange(30) * 10**9 + 250_000_000
-    np.testing.assert_array_equal(found.stamps, expected[kept])
-    assert found.reading.fixes is not None
+    np.testing.assert_array_equal(result.stamps, expected[kept])
+    assert result.reading.fixes is not None
     np.testing.assert_allclose(
-        east_north_up(found.reading.fixes.places, DATUM), POSITIONS[kept], rtol=0, atol=2e-4
+        east_north_up(result.reading.fixes.places, DATUM), POSITIONS[kept], rtol=0, atol=2e-4
     )
-    assert set(found.reading.fixes.status.tolist()) == {2}
-    assert not found.reading.fixes.known.any()
+    assert set(result.reading.fixes.status.tolist()) == {2}
+    assert not result.reading.fixes.known.any()
 
 
 @pytest.mark.parametrize(
@@ -87,19 +87,21 @@ def test_nmea_s_quality(quality: int, status: int | None, tmp_path: Path) -> Non
         with pytest.raises(InputError, match="5 no fix"):
             read_trajectory(file)
         return
-    found = read_trajectory(file)
-    assert found.reading.fixes is not None
-    assert set(found.reading.fixes.status.tolist()) == {status}
-    assert any("1970-01-01" in note for note in found.reading.messages(Level.NOTE))
+    result = read_trajectory(file)
+    assert result.reading.fixes is not None
+    assert set(result.reading.fixes.status.tolist()) == {status}
+    assert any("1970-01-01" in note for note in result.reading.messages(Level.NOTE))
 
 
 def test_southern_and_western_places(tmp_path: Path) -> None:
     file = tmp_path / "log.txt"
     places = PLACES * [-1.0, -1.0, 1.0]
     file.write_text("\n".join(gga(row, place) for row, place in enumerate(places)))
-    found = read_trajectory(file)
-    assert found.reading.fixes is not None
-    np.testing.assert_allclose(found.reading.fixes.places[:, :2], places[:, :2], rtol=0, atol=1e-9)
+    result = read_trajectory(file)
+    assert result.reading.fixes is not None
+    np.testing.assert_allclose(
+        result.reading.fixes.places[:, :2], places[:, :2], rtol=0, atol=1e-9
+    )
 
 
 def test_an_nmea_file_without_a_whole_line(tmp_path: Path) -> None:
@@ -160,10 +162,10 @@ def fixes_in(path: Path, *lines: str) -> Trajectory:
 
 def test_a_status_of_fixes_that_is_missing_is_no_fix(tmp_path: Path) -> None:
     rows = [f"{row},47.0,8.{row},400.0,{'' if row == 2 else row % 3}" for row in range(6)]
-    found = fixes_in(tmp_path / "x.csv", "time,latitude,longitude,height,status", *rows)
-    assert found.reading.dropped == {"no_fix": 1}
-    assert found.reading.fixes is not None
-    assert found.reading.fixes.status.tolist() == [0, 1, 0, 1, 2]
+    result = fixes_in(tmp_path / "x.csv", "time,latitude,longitude,height,status", *rows)
+    assert result.reading.dropped == {"no_fix": 1}
+    assert result.reading.fixes is not None
+    assert result.reading.fixes.status.tolist() == [0, 1, 0, 1, 2]
 
 
 @pytest.mark.parametrize("sent", ["RMC", "ZDA"])
@@ -181,16 +183,16 @@ def test_days_of_nmea_follow_from_the_line_with_a_date(
     if sent == "RMC":
         dated = f"GNRMC,{at:%H%M%S}.00,A,4724.0,N,00830.0,E,0.1,77.0,{at:%d%m%y},,,R"
     lines.insert(place, sentence(dated))
-    found = fixes_in(tmp_path / "x.nmea", *lines)
-    assert found.stamps.tolist() == [(begin + 2 * row) * 10**9 for row in range(6)]
-    assert not found.reading.messages(Level.NOTE)[1:]
+    result = fixes_in(tmp_path / "x.nmea", *lines)
+    assert result.stamps.tolist() == [(begin + 2 * row) * 10**9 for row in range(6)]
+    assert not result.reading.messages(Level.NOTE)[1:]
 
 
 @pytest.mark.parametrize(("step", "days"), [(43_200, 0), (43_201, 1)])
 def test_half_a_day_back_is_the_next_day(tmp_path: Path, step: int, days: int) -> None:
     lines = [gga(86_399 - step * row, PLACES[row]) for row in range(2)]
-    found = fixes_in(tmp_path / "x.nmea", *lines)
-    assert found.stamps.tolist() == [86_399 * 10**9, (86_399 - step + days * 86_400) * 10**9]
+    result = fixes_in(tmp_path / "x.nmea", *lines)
+    assert result.stamps.tolist() == [86_399 * 10**9, (86_399 - step + days * 86_400) * 10**9]
 
 
 @pytest.mark.parametrize(("sent", "day"), [("113001", 2), ("113000", 1)])
@@ -198,9 +200,9 @@ def test_a_date_half_a_day_back_is_of_the_next_day(tmp_path: Path, sent: str, da
     """The fixes are of 23:30:01; the line with the date is half a day earlier or later."""
     lines = [gga(84_600 + row, PLACES[row]) for row in range(2)]
     dated = sentence(f"GNZDA,{sent}.00,02,01,1980,00,00")
-    found = fixes_in(tmp_path / "x.nmea", *lines, dated)
+    result = fixes_in(tmp_path / "x.nmea", *lines, dated)
     begin = int(datetime(1980, 1, day, 23, 30, tzinfo=timezone.utc).timestamp())
-    assert found.stamps.tolist() == [begin * 10**9, (begin + 1) * 10**9]
+    assert result.stamps.tolist() == [begin * 10**9, (begin + 1) * 10**9]
 
 
 @pytest.mark.parametrize(
@@ -209,15 +211,15 @@ def test_a_date_half_a_day_back_is_of_the_next_day(tmp_path: Path, sent: str, da
 )
 def test_fractions_of_seconds_of_nmea(tmp_path: Path, digits: str, nanoseconds: int) -> None:
     body = f"GNGGA,010203{digits},4724.60,N,00830.30,E,4,12,0.7,400.5,M,47.25,M,1.0,0001"
-    found = fixes_in(
+    result = fixes_in(
         tmp_path / "x.nmea",
         sentence(body),
         sentence(body.replace("010203", "010204").replace("24.60", "24.61")),
     )
-    assert found.stamps[0] == 3723 * 10**9 + nanoseconds
-    assert found.reading.fixes is not None
-    np.testing.assert_allclose(found.reading.fixes.places[0], [47.41, 8.505, 447.75], rtol=1e-14)
+    assert result.stamps[0] == 3723 * 10**9 + nanoseconds
+    assert result.reading.fixes is not None
+    np.testing.assert_allclose(result.reading.fixes.places[0], [47.41, 8.505, 447.75], rtol=1e-14)
     bare = body.replace("47.25,M", ",M")  # without the separation, the altitude is the height
-    found = fixes_in(tmp_path / "x.nmea", sentence(bare))
-    assert found.reading.fixes is not None
-    assert found.reading.fixes.places[0, 2] == 400.5
+    result = fixes_in(tmp_path / "x.nmea", sentence(bare))
+    assert result.reading.fixes is not None
+    assert result.reading.fixes.places[0, 2] == 400.5

@@ -53,11 +53,11 @@ def test_a_comma_at_the_end_is_of_vins(tmp_path: Path, digits: int, with_velocit
         for time, p, q in zip(times, POSITIONS, WXYZ, strict=True)
     ]
     kept = slice(0, None, 2) if digits == 0 else slice(None)  # whole seconds repeat
-    found = read_trajectory(write(tmp_path / "vio.csv", rows[kept]))
-    np.testing.assert_allclose(found.positions, POSITIONS[kept], atol=1e-6)
-    assert found.rotations is not None
-    assert (found.rotations * TURNS[kept].inv()).magnitude().max() < 1e-5
-    assert (found.velocities is not None) == with_velocity
+    result = read_trajectory(write(tmp_path / "vio.csv", rows[kept]))
+    np.testing.assert_allclose(result.positions, POSITIONS[kept], atol=1e-6)
+    assert result.rotations is not None
+    assert (result.rotations * TURNS[kept].inv()).magnitude().max() < 1e-5
+    assert (result.velocities is not None) == with_velocity
 
 
 def test_the_log_of_fast_lio_has_rotation_vectors(tmp_path: Path) -> None:
@@ -66,11 +66,11 @@ def test_the_log_of_fast_lio_has_rotation_vectors(tmp_path: Path) -> None:
         f"{0.1 * row:.6f} {numbers(np.concatenate([v, p, *rest]))} \r"
         for row, (v, p) in enumerate(zip(TURNS.as_rotvec(), POSITIONS, strict=True))
     ]
-    found = read_trajectory(write(tmp_path / "pos_log.txt", rows))
-    check(found, (0.1 * np.arange(COUNT)).tolist())
-    assert found.velocities is not None
-    np.testing.assert_array_equal(found.velocities[0], [1.0, 2.0, 3.0])
-    assert "log of FAST-LIO" in "; ".join(found.reading.messages(Level.NOTE))
+    result = read_trajectory(write(tmp_path / "pos_log.txt", rows))
+    check(result, (0.1 * np.arange(COUNT)).tolist())
+    assert result.velocities is not None
+    np.testing.assert_array_equal(result.velocities[0], [1.0, 2.0, 3.0])
+    assert "log of FAST-LIO" in "; ".join(result.reading.messages(Level.NOTE))
 
 
 def test_angles_of_point_lio_are_no_rotation_vectors(tmp_path: Path) -> None:
@@ -84,9 +84,9 @@ def test_angles_of_point_lio_are_no_rotation_vectors(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="those of Point-LIO are angles: --columns '") as refused:
         read_trajectory(path)
     columns = str(refused.value).partition("--columns '")[2].rstrip("'")
-    found = read_trajectory(path, hints=SideHints.of(columns, None).estimate)
-    assert found.rotations is not None
-    np.testing.assert_allclose(found.rotations[0].as_euler("xyz"), angles[0], atol=1e-5)
+    result = read_trajectory(path, hints=SideHints.of(columns, None).estimate)
+    assert result.rotations is not None
+    np.testing.assert_allclose(result.rotations[0].as_euler("xyz"), angles[0], atol=1e-5)
 
 
 def test_an_id_in_the_last_column(tmp_path: Path) -> None:
@@ -110,9 +110,9 @@ def test_frame_numbers_use_the_times_in_the_folder(tmp_path: Path, name: str) ->
     assert read_trajectory(path).stamps[1] == 3 * 10**9  # without times these are seconds
     every = 1_700_000_000.0 + np.arange(3 * COUNT) / 6.0
     write(tmp_path / name, [f"{time:.9f}" for time in every])
-    found = read_trajectory(path)
-    check(found)
-    notes = "; ".join(found.reading.messages(Level.NOTE))
+    result = read_trajectory(path)
+    check(result)
+    notes = "; ".join(result.reading.messages(Level.NOTE))
     assert f"timestamps read from {tmp_path / name}" in notes
 
 
@@ -130,9 +130,9 @@ def test_frame_numbers_of_an_array_use_the_times_in_the_folder(tmp_path: Path) -
     np.save(tmp_path / "tstamps.npy", 3.0 * np.arange(COUNT))
     every = 1_700_000_000.0 + np.arange(3 * COUNT) / 6.0
     write(tmp_path / "times.txt", [f"{time:.9f}" for time in every])
-    found = read_trajectory(tmp_path / "poses.npy")
-    check(found)
-    assert "float32" in "; ".join(found.reading.messages(Level.NOTE))
+    result = read_trajectory(tmp_path / "poses.npy")
+    check(result)
+    assert "float32" in "; ".join(result.reading.messages(Level.NOTE))
 
 
 def columns(*parts: object, digits: int) -> list[str]:
@@ -185,10 +185,10 @@ FILES = {
 @pytest.mark.parametrize("name", FILES)
 def test_files_of_systems_hold_the_poses_that_were_written(tmp_path: Path, name: str) -> None:
     rows, atol = FILES[name]
-    found = read_trajectory(write(tmp_path / name, rows))
-    check(found, atol=atol)
-    assert (found.covariances is not None) == (name == "recorder.txt")
-    assert (found.velocities is not None) == (name == "state_estimate.txt")
+    result = read_trajectory(write(tmp_path / name, rows))
+    check(result, atol=atol)
+    assert (result.covariances is not None) == (name == "recorder.txt")
+    assert (result.velocities is not None) == (name == "state_estimate.txt")
 
 
 @pytest.mark.parametrize("name", ["scans_poses.npy", "scans_poses_kitti.txt"])
@@ -201,9 +201,9 @@ def test_poses_without_times_have_those_of_their_rate(tmp_path: Path, name: str)
         np.save(path, whole)
     else:
         np.savetxt(path, MATRICES.reshape(COUNT, 12))
-    found = read_trajectory(path, hints=SideHints.of(None, 10.0).estimate)
-    check(found, (0.1 * np.arange(COUNT)).tolist())
-    assert found.up.name == ("z" if path.suffix == ".npy" else "-y")
+    result = read_trajectory(path, hints=SideHints.of(None, 10.0).estimate)
+    check(result, (0.1 * np.arange(COUNT)).tolist())
+    assert result.up.name == ("z" if path.suffix == ".npy" else "-y")
 
 
 def test_poses_of_droid_slam_are_inverse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -185,9 +185,9 @@ def test_a_public_kind_is_read(kind: str, tmp_path: Path) -> None:
     text, rotations, times = KINDS[kind]
     path = tmp_path / "t.txt"
     path.write_text(text)
-    found = read_trajectory(path)
-    assert_right(found, rotations=rotations, times=times)
-    doubts = [remark for remark in found.reading.remarks if remark.level is Level.WARNING]
+    result = read_trajectory(path)
+    assert_right(result, rotations=rotations, times=times)
+    doubts = [remark for remark in result.reading.remarks if remark.level is Level.WARNING]
     assert bool(doubts) == kind.startswith("commas")
 
 
@@ -264,10 +264,10 @@ def test_the_option_that_a_refusal_suggests_works(
     options = re.findall(r"--columns '([^']*)'", str(refusal.value))
     assert all(option.startswith("groundtruth: ") == bool(side.side) for option in options)
     hints = SideHints.of(options[right], None)
-    found = read_trajectory(path, hints=hints.groundtruth if side.side else hints.estimate)
+    result = read_trajectory(path, hints=hints.groundtruth if side.side else hints.estimate)
     if kind == "unpadded nanoseconds":
-        assert found.stamps.tolist() == (STAMPS - 200_000_000).tolist()
-    assert_right(found, times=kind not in OTHER_TIMES)
+        assert result.stamps.tolist() == (STAMPS - 200_000_000).tolist()
+    assert_right(result, times=kind not in OTHER_TIMES)
 
 
 @pytest.mark.parametrize(
@@ -329,8 +329,8 @@ def test_columns_of_both_sides(tmp_path: Path) -> None:
     assert both.estimate.columns == ("t", "x", "y", "z")
     path = tmp_path / "t.txt"
     path.write_text(rows(STAMPS // 1000, 1000.0 * PLACES, ZEROS[:, :2]))
-    found = read_trajectory(path, hints=SideHints.of("t_us x_mm y_mm z_mm", None).estimate)
-    assert_right(found, rotations=False)  # the last two columns need no _
+    result = read_trajectory(path, hints=SideHints.of("t_us x_mm y_mm z_mm", None).estimate)
+    assert_right(result, rotations=False)  # the last two columns need no _
 
 
 def test_receptions_are_exact_to_the_nanosecond(tmp_path: Path) -> None:

@@ -53,10 +53,10 @@ def test_covariances_are_symmetric_and_about_the_stated_axes(group: str, convent
     if group == "variances":
         whole = whole * np.eye(6)
     rows, columns = np.array([[int(digit) - 1 for digit in item[1:]] for item in GROUPS[group]]).T
-    turns = Rotation.random(3, random_state=4)
+    rotations = Rotation.random(3, random_state=4)
     groups = {
         "position": np.zeros((3, 3)),
-        "quaternion": turns.as_quat(),
+        "quaternion": rotations.as_quat(),
         group: whole[:, rows, columns],
     }
     layout = Layout("named", (), covariances=convention)
@@ -65,7 +65,7 @@ def test_covariances_are_symmetric_and_about_the_stated_axes(group: str, convent
     expected = whole
     if convention == BODY_TWISTS:
         both = np.zeros((3, 6, 6))
-        both[:, :3, :3] = both[:, 3:, 3:] = turns.as_matrix()
+        both[:, :3, :3] = both[:, 3:, 3:] = rotations.as_matrix()
         expected = both @ whole @ both.swapaxes(1, 2)
     np.testing.assert_allclose(result.covariances, expected, rtol=1e-12, atol=1e-12)
     assert len(result.remarks) == (convention == FIXED_AXES)
@@ -74,12 +74,12 @@ def test_covariances_are_symmetric_and_about_the_stated_axes(group: str, convent
 
 
 def test_columns_of_an_array() -> None:
-    turns = Rotation.random(4, random_state=0).as_quat()
-    rows = np.hstack([np.arange(4)[:, None] + 0.5, np.ones((4, 3)), turns])
+    rotations = Rotation.random(4, random_state=0).as_quat()
+    rows = np.hstack([np.arange(4)[:, None] + 0.5, np.ones((4, 3)), rotations])
     result = array_trajectory(rows, "vio")
     assert result.stamps.tolist() == [500_000_000 + row * SECOND for row in range(4)]
     np.testing.assert_array_equal(result.positions, np.ones((4, 3)))
-    np.testing.assert_allclose(result.quaternions, turns, atol=1e-15)  # type: ignore[arg-type]
+    np.testing.assert_allclose(result.quaternions, rotations, atol=1e-15)  # type: ignore[arg-type]
     for factor, refused in ((1.0099, False), (1.0101, True), (0.9901, False), (0.9899, True)):
         longer = rows.copy()
         longer[1, 4:] *= factor

@@ -129,9 +129,9 @@ def test_columns_that_are_not_used_are_said(tmp_path: Path) -> None:
 def test_calendar_dates_are_utc(separator: str, tmp_path: Path) -> None:
     seconds = np.array(STAMPS, dtype="datetime64[ns]").astype(str)
     dates = [second.replace("T", separator) for second in seconds]
-    found = read(tmp_path / "t.csv", "date,x,y,z,qx,qy,qz,qw\n" + rows(dates, POSITIONS, XYZW))
-    assert is_the_pose(found)
-    assert "dates read as UTC" in found.reading.messages(Level.NOTE)
+    result = read(tmp_path / "t.csv", "date,x,y,z,qx,qy,qz,qw\n" + rows(dates, POSITIONS, XYZW))
+    assert is_the_pose(result)
+    assert "dates read as UTC" in result.reading.messages(Level.NOTE)
 
 
 def test_angles_in_degrees_are_not_taken_for_radians(tmp_path: Path) -> None:
@@ -170,10 +170,10 @@ def test_rostopic_echo_of_odometry(tmp_path: Path) -> None:
         NANOSECONDS, ["1", "2", "3"], NANOSECONDS, ["odom"] * 3, ["base"] * 3, POSITIONS, XYZW,
         COVARIANCES, VELOCITIES, zeros, np.full((3, 36), 7.0),
     )  # fmt: skip
-    found = read(tmp_path / "t.csv", echo_header("odometry") + text)
-    assert is_the_pose(found)
-    np.testing.assert_array_equal(found.covariances, COVARIANCES)
-    np.testing.assert_allclose(found.velocities, ROTATIONS.apply(VELOCITIES), atol=1e-14)
+    result = read(tmp_path / "t.csv", echo_header("odometry") + text)
+    assert is_the_pose(result)
+    np.testing.assert_array_equal(result.covariances, COVARIANCES)
+    np.testing.assert_allclose(result.velocities, ROTATIONS.apply(VELOCITIES), atol=1e-14)
 
 
 def covariance_names(indices: tuple[np.ndarray, np.ndarray], first: int, name: str) -> str:
@@ -192,8 +192,8 @@ def test_covariances_by_number(
 ) -> None:
     header = "t,x,y,z,qx,qy,qz,qw," + covariance_names(indices, first, "cov_")
     values = COVARIANCES[:, indices[0], indices[1]]
-    found = read(tmp_path / "t.csv", header + "\n" + rows(SECONDS, POSITIONS, XYZW, values))
-    np.testing.assert_array_equal(found.covariances, COVARIANCES)
+    result = read(tmp_path / "t.csv", header + "\n" + rows(SECONDS, POSITIONS, XYZW, values))
+    np.testing.assert_array_equal(result.covariances, COVARIANCES)
 
 
 @pytest.mark.parametrize(
@@ -203,23 +203,23 @@ def test_six_variances(names: str, tmp_path: Path) -> None:
     axes = ("x", "y", "z", "roll", "pitch", "yaw")
     header = "t,x,y,z,qx,qy,qz,qw," + ",".join(names.format(axis, axis) for axis in axes)
     diagonal = COVARIANCES[:, range(6), range(6)]
-    found = read(tmp_path / "t.csv", header + "\n" + rows(SECONDS, POSITIONS, XYZW, diagonal))
-    np.testing.assert_array_equal(found.covariances, np.einsum("ni,ij->nij", diagonal, np.eye(6)))
+    result = read(tmp_path / "t.csv", header + "\n" + rows(SECONDS, POSITIONS, XYZW, diagonal))
+    np.testing.assert_array_equal(result.covariances, np.einsum("ni,ij->nij", diagonal, np.eye(6)))
 
 
 def test_smfeval_has_covariances_of_body_twists(tmp_path: Path) -> None:
     text = rows(SECONDS, POSITIONS, XYZW, COVARIANCES[:, LOWER[0], LOWER[1]], separator=" ")
-    found = read(tmp_path / "t.txt", text)
-    assert is_the_pose(found)
-    turn = np.zeros((3, 6, 6))
-    turn[:, :3, :3] = turn[:, 3:, 3:] = ROTATIONS.as_matrix()
-    expected = turn @ COVARIANCES @ np.swapaxes(turn, 1, 2)
-    np.testing.assert_allclose(found.covariances, expected, atol=1e-12)
-    assert any("body twists" in note for note in found.reading.messages(Level.NOTE))
+    result = read(tmp_path / "t.txt", text)
+    assert is_the_pose(result)
+    rotation = np.zeros((3, 6, 6))
+    rotation[:, :3, :3] = rotation[:, 3:, 3:] = ROTATIONS.as_matrix()
+    expected = rotation @ COVARIANCES @ np.swapaxes(rotation, 1, 2)
+    np.testing.assert_allclose(result.covariances, expected, atol=1e-12)
+    assert any("body twists" in note for note in result.reading.messages(Level.NOTE))
     head = "#%SQUARE 1\n#%TANGENT_CONVENTION {}\n"
-    said = read(tmp_path / "u.txt", head.format("right_perturbation") + text)
-    np.testing.assert_array_equal(said.covariances, found.covariances)
-    assert not any("body twists" in note for note in said.reading.messages(Level.NOTE))
+    message = read(tmp_path / "u.txt", head.format("right_perturbation") + text)
+    np.testing.assert_array_equal(message.covariances, result.covariances)
+    assert not any("body twists" in note for note in message.reading.messages(Level.NOTE))
     other = read(tmp_path / "v.txt", head.format("left_perturbation") + text)
     assert other.covariances is None
     assert any("covariances dropped" in note for note in other.reading.messages(Level.NOTE))
@@ -248,11 +248,11 @@ VERTEX_SE3:QUAT 9 2.0 2.5 3.125 {}
 
 def test_vertices_of_a_graph_are_read_and_edges_ignored(tmp_path: Path) -> None:
     text = G2O.format(*(" ".join(map(repr, row)) for row in XYZW.tolist()))
-    found = read(tmp_path / "t.g2o", text)
-    assert is_the_pose(found, [3 * 10**9, 5 * 10**9, 9 * 10**9])
-    assert found.reading.frame_numbers is not None
-    assert found.reading.frame_numbers.tolist() == [3, 5, 9]
-    assert found.reading.numbered
+    result = read(tmp_path / "t.g2o", text)
+    assert is_the_pose(result, [3 * 10**9, 5 * 10**9, 9 * 10**9])
+    assert result.reading.frame_numbers is not None
+    assert result.reading.frame_numbers.tolist() == [3, 5, 9]
+    assert result.reading.numbered
     assert is_the_pose(
         read(tmp_path / "t.g2o", text, frame_rate_hz=10.0), [3 * 10**8, 5 * 10**8, 9 * 10**8]
     )
@@ -262,11 +262,11 @@ def test_vertices_of_a_graph_are_read_and_edges_ignored(tmp_path: Path) -> None:
 
 def test_vertices_in_a_plane(tmp_path: Path) -> None:
     text = "VERTEX_SE2 0 1.5 2.5 0.25\nVERTEX_SE2 1 2.5 2.5 -9.5\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
-    found = read(tmp_path / "t.g2o", text)
-    np.testing.assert_array_equal(found.positions, [[1.5, 2.5, 0.0], [2.5, 2.5, 0.0]])
-    assert found.rotations is not None
+    result = read(tmp_path / "t.g2o", text)
+    np.testing.assert_array_equal(result.positions, [[1.5, 2.5, 0.0], [2.5, 2.5, 0.0]])
+    assert result.rotations is not None
     expected = Rotation.from_rotvec([[0, 0, 0.25], [0, 0, -9.5]])
-    assert (found.rotations * expected.inv()).magnitude().max() < 1e-14
+    assert (result.rotations * expected.inv()).magnitude().max() < 1e-14
 
 
 NAMED = {
@@ -329,9 +329,9 @@ def test_a_file_with_other_columns_than_named(tmp_path: Path) -> None:
     ],
 )
 def test_decimal_commas_between_other_separators_are_read(text: str, tmp_path: Path) -> None:
-    found = read(tmp_path / "t.csv", text)
-    assert found.stamps.tolist() == [1_500_000_000, 2_500_000_000]
-    np.testing.assert_array_equal(found.positions[:, :2], [[0.5, -1.25]] * 2)
+    result = read(tmp_path / "t.csv", text)
+    assert result.stamps.tolist() == [1_500_000_000, 2_500_000_000]
+    np.testing.assert_array_equal(result.positions[:, :2], [[0.5, -1.25]] * 2)
 
 
 def test_half_a_row_at_the_end_of_the_head_is_no_row(tmp_path: Path) -> None:
@@ -364,9 +364,9 @@ def test_tables_of_ros2_topic_echo_have_two_columns_of_time(tmp_path: Path) -> N
 
 def test_missing_values_are_rows_that_are_no_poses(tmp_path: Path) -> None:
     text = "t,x,y,z,qx,qy,qz,qw\n" + rows(SECONDS, POSITIONS, XYZW) + "1403636582,1,,2,0,0,0,1\n"
-    found = read(tmp_path / "t.csv", text)
-    assert is_the_pose(found)
-    assert found.reading.dropped["not_finite"] == 1
+    result = read(tmp_path / "t.csv", text)
+    assert is_the_pose(result)
+    assert result.reading.dropped["not_finite"] == 1
 
 
 DAMAGED = [
@@ -456,11 +456,11 @@ def test_labels_of_motive_are_no_damaged_row(tmp_path: Path) -> None:
     rows = [f"{row},{row / 10},0,0,0.6,0.8,{row},2,3" for row in range(20)]
     path = tmp_path / "take.csv"
     path.write_text("\n".join([*header, *rows]) + "\n")
-    found = read_trajectory(str(path))
-    assert len(found) == 20
-    np.testing.assert_array_equal(found.positions[5], [5.0, 2.0, 3.0])
-    assert found.quaternions is not None
-    np.testing.assert_allclose(found.quaternions[5], [0.0, 0.0, 0.6, 0.8])
+    result = read_trajectory(str(path))
+    assert len(result) == 20
+    np.testing.assert_array_equal(result.positions[5], [5.0, 2.0, 3.0])
+    assert result.quaternions is not None
+    np.testing.assert_allclose(result.quaternions[5], [0.0, 0.0, 0.6, 0.8])
     path.write_text("\n".join([*header, "x0,0,0,0,0.6,0.8,1,2,3", *rows]) + "\n")
     with pytest.raises(InputError, match="line 8: 'x0' is not a number"):
         read_trajectory(str(path))

@@ -91,8 +91,8 @@ class InertialSteps:
 
         def motions(rates: Floats, forces: Floats, held: Floats, biases: Floats) -> Motions:
             halves = so3.exp((rates - biases[:, None, :3]) * held[:, :, None] / 2.0)
-            turned = np.einsum("nkij,nkj->nki", halves, forces - biases[:, None, 3:])
-            return Motions(*integrated(halves @ halves, turned, held))
+            rotated = np.einsum("nkij,nkj->nki", halves, forces - biases[:, None, 3:])
+            return Motions(*integrated(halves @ halves, rotated, held))
 
         return Motions(*lie.by_blocks(motions, self.rates, self.accelerations, self.held, biases))
 

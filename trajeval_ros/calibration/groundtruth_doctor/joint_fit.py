@@ -209,26 +209,30 @@ class JointFit:
 
     def _rows_of_intervals(self, knots: Indices) -> tuple[Floats, Floats, Floats]:
         rig, others, dt = self.rig, knots + 1, self.steps.durations_s[knots, None]
-        into, turned = transposed(rig.rotations[knots]), rig.rotations[others]
+        into, rotated = transposed(rig.rotations[knots]), rig.rotations[others]
         rotations, velocities, positions = (motion[knots, -1] for motion in self.motions)
-        turn = so3.log(transposed(rotations) @ into @ turned)
+        rotation = so3.log(transposed(rotations) @ into @ rotated)
         faster = rig.velocities[others] - rig.velocities[knots] - rig.gravity * dt
         start = rig.velocities[knots] * dt + 0.5 * rig.gravity * dt**2
         moved = rig.positions[others] - rig.positions[knots] - start
         faster, moved = times(into, faster), times(into, moved)
         before, after, whiten = np.zeros((3, len(dt), 15, STATES))
         by_rig = np.zeros((len(dt), 15, PARAMETERS + 1))
-        back, step, by_biases = so3.inverse_left_jacobian(-turn), dt[..., None], self._by_biases
+        back, step, by_biases = (
+            so3.inverse_left_jacobian(-rotation),
+            dt[..., None],
+            self._by_biases,
+        )
         after[:, 0:3, 0:3], after[:, 3:6, 3:6], after[:, 6:9, 6:9] = back, into, into
-        before[:, 0:3, 0:3] = -back @ transposed(turned) @ rig.rotations[knots]
+        before[:, 0:3, 0:3] = -back @ transposed(rotated) @ rig.rotations[knots]
         before[:, 3:6, 0:3], before[:, 6:9, 0:3] = so3.skew(faster), so3.skew(moved)
         before[:, 3:6, 3:6], before[:, 6:9, 3:6] = -into, -into * step
         before[:, 6:9, 6:9] = -into
         before[:, :9, 9:15] = -by_biases[knots]
-        before[:, 0:3, 9:15] = -back @ transposed(so3.exp(turn)) @ by_biases[knots, 0:3]
+        before[:, 0:3, 9:15] = -back @ transposed(so3.exp(rotation)) @ by_biases[knots, 0:3]
         by_rig[:, 3:6, GRAVITY] = -into @ tangents(rig.gravity) * step
         by_rig[:, 6:9, GRAVITY] = 0.5 * by_rig[:, 3:6, GRAVITY] * step
-        residuals = np.concatenate([turn, faster - velocities, moved - positions], axis=1)
+        residuals = np.concatenate([rotation, faster - velocities, moved - positions], axis=1)
         whiten[:, :9, :9] = self._whiten[knots]
         if self._iteration > 4:  # a jump of the groundtruth must not bend the chain
             squared = np.square(times(whiten[:, :9, :9], residuals)).sum(axis=1)

@@ -53,11 +53,11 @@ def repaired(
 
     def states(seconds: Floats) -> tuple[Floats | Indices, ...]:
         found = rig_at(seconds, steps, fit.motions, rig)
-        turned = world_from_body_rotations(covariances[found.knots], found.rotations)
+        rotated = world_from_body_rotations(covariances[found.knots], found.rotations)
         quaternions = lie.from_matrices(found.rotations)
-        return found.positions, quaternions, found.velocities, rig.biases[found.knots], turned
+        return found.positions, quaternions, found.velocities, rig.biases[found.knots], rotated
 
-    positions, quaternions, velocities, biases, turned = lie.by_blocks(states, seconds[within])
+    positions, quaternions, velocities, biases, rotated = lie.by_blocks(states, seconds[within])
     return Trajectory(
         stamps[within],
         positions,
@@ -65,7 +65,7 @@ def repaired(
         velocities=velocities,
         gyroscope_biases=biases[:, :3],
         accelerometer_biases=biases[:, 3:],
-        covariances=turned,
+        covariances=rotated,
         frame=groundtruth.frame,
         name=groundtruth.name,
     )

@@ -55,8 +55,10 @@ class Rig:
         magnitude, along the two axes of W that are not the nearest to the vertical.
         """
         up, length = int(np.abs(self.gravity).argmax()), np.linalg.norm(self.gravity)
-        turn, tilt = so3.log(self.body[None])[0], np.delete(self.gravity, up) / length
-        return np.concatenate([turn, self.lever, [self.shift_s + self.offset_s, self.skew], tilt])
+        rotation, tilt = so3.log(self.body[None])[0], np.delete(self.gravity, up) / length
+        return np.concatenate(
+            [rotation, self.lever, [self.shift_s + self.offset_s, self.skew], tilt]
+        )
 
     def without(self, fixed: Booleans) -> Rig:
         """Return the rig with the marked parameters (10,) at zero; the states keep its marker."""

@@ -87,8 +87,8 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
     rotation_noise = None
     if ordered.quaternions is not None:
         some = ordered.quaternions[fresh]
-        turned = lie.rotation_vector(lie.multiply(lie.conjugate(some[:-1]), some[1:]))
-        rotation_noise = _noise(np.diff(turned, n=2, axis=0))
+        rotated = lie.rotation_vector(lie.multiply(lie.conjugate(some[:-1]), some[1:]))
+        rotation_noise = _noise(np.diff(rotated, n=2, axis=0))
     gaps = np.flatnonzero(steps > max(_GAP_S, _USUAL_STEPS * usual))
     return PoseChecks(
         rate_hz=1.0 / usual,

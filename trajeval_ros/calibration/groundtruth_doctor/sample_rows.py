@@ -88,17 +88,17 @@ def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: 
 
     def at(rows: Indices) -> Predicted:
         found = rig_at(seconds[rows], steps, motions, rig)
-        turned, measured = found.rotations, lie.to_matrix(samples.quaternions[rows])
+        rotated, measured = found.rotations, lie.to_matrix(samples.quaternions[rows])
         return Predicted(
             rows,
             found.knots,
             found.since_s,
             found.turned,
             found.moved + times(found.turned, rig.lever),
-            found.velocities + times(turned, np.cross(found.rates, rig.lever)),
+            found.velocities + times(rotated, np.cross(found.rates, rig.lever)),
             found.rates,
-            found.positions + times(turned, rig.lever) - samples.positions[rows],
-            so3.log(transposed(measured) @ turned @ rig.body),
+            found.positions + times(rotated, rig.lever) - samples.positions[rows],
+            so3.log(transposed(measured) @ rotated @ rig.body),
         )
 
     return Predicted(*lie.by_blocks(at, inside))
@@ -115,12 +115,12 @@ def rig_at(seconds: Floats, steps: InertialSteps, motions: Motions, rig: Rig) ->
     before, start = motions.rotations[at], rig.rotations[knots]
     force = times(before, steps.accelerations[at] - rig.biases[knots, 3:])
     moved = motions.positions[at] + motions.velocities[at] * part + 0.5 * force * part**2
-    turned = before @ so3.exp(rates * part)
+    rotated = before @ so3.exp(rates * part)
     positions = rig.positions[knots] + rig.velocities[knots] * tau + 0.5 * rig.gravity * tau**2
     velocities = rig.velocities[knots] + rig.gravity * tau
     velocities = velocities + times(start, motions.velocities[at] + force * part)
     positions = positions + times(start, moved)
-    return RigStates(knots, tau, turned, moved, start @ turned, positions, velocities, rates)
+    return RigStates(knots, tau, rotated, moved, start @ rotated, positions, velocities, rates)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +181,7 @@ def averaged(found: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
         knots, tau = own.knots[starts], own.since_s
         start = rig.rotations[knots]
         by_state, by_rig = np.zeros((len(knots), 6, 15)), np.zeros((len(knots), 6, 11))
-        error, tau1, tau2, arm, turn, tau_turn, speed = (
+        error, tau1, tau2, arm, rotation, tau_turn, speed = (
             _means(item, of_position[part], starts)
             for item in (
                 own.position_errors, tau, tau**2, own.arms, own.turned,
@@ -193,16 +193,16 @@ def averaged(found: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
         by_state[:, :3, 6:9] = unit
         by_state[:, :3, 9:12] = start @ tau_turn @ so3.skew(rig.lever)
         by_state[:, :3, 12:15] = -0.5 * tau2[..., None] * start
-        by_rig[:, :3, LEVER] = start @ turn
+        by_rig[:, :3, LEVER] = start @ rotation
         by_rig[:, :3, OFFSET], by_rig[:, :3, -1] = speed, error
         by_rig[:, :3, GRAVITY] = 0.5 * tau2[..., None] * tangents(rig.gravity)
-        error, tau1, turn, rate = (
+        error, tau1, rotation, rate = (
             _means(item, of_rotation[part], starts)
             for item in (own.rotation_errors, tau, own.turned, own.rates)
         )
         back = so3.inverse_left_jacobian(-error)
         into = back @ rig.body.T
-        by_state[:, 3:, 0:3] = into @ transposed(turn)
+        by_state[:, 3:, 0:3] = into @ transposed(rotation)
         by_state[:, 3:, 9:12] = -into * tau1[..., None]
         by_rig[:, 3:, BODY] = back
         by_rig[:, 3:, OFFSET], by_rig[:, 3:, -1] = times(into, rate), error

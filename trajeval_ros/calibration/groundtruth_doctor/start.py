@@ -57,17 +57,17 @@ def prepared(
         InputError: Their motions are not related, or a sensor is missing.
     """
     name, imu = groundtruth.name or "the groundtruth", imu_of(readings)
-    turned, has_rotations = groundtruth.quaternions, groundtruth.quaternions is not None
-    if turned is None and readings.accelerations is None:
+    rotated, has_rotations = groundtruth.quaternions, groundtruth.quaternions is not None
+    if rotated is None and readings.accelerations is None:
         raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
     free, notes = _determined(groundtruth, imu, has_forces=readings.accelerations is not None)
     if time_offset_s is None:
         time_offset_s = _first_offset(groundtruth, imu, name)
     shift_ns = round(time_offset_s * NANOSECONDS)
     seconds = (groundtruth.stamps + (shift_ns - imu.origin)) / NANOSECONDS
-    if turned is None:
-        turned = rough_orientations(seconds, groundtruth.positions, imu)
-    samples = TruthSamples(seconds, groundtruth.positions, turned, has_rotations)
+    if rotated is None:
+        rotated = rough_orientations(seconds, groundtruth.positions, imu)
+    samples = TruthSamples(seconds, groundtruth.positions, rotated, has_rotations)
     _require_metres(samples, imu, name)
     return Prepared(samples, imu, shift_ns, free, notes)
 
@@ -256,8 +256,8 @@ def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tup
     """Return R_IM (3, 3) and the bias (3,), rad/s, from rotations over a quarter of a second."""
     ends = np.arange(knots[0], knots[-1], _INCREMENT_S)
     of_marker, of_imu = (
-        lie.rotation_vector(lie.multiply(lie.conjugate(turns[:-1]), turns[1:]))
-        for turns in (
+        lie.rotation_vector(lie.multiply(lie.conjugate(rotations[:-1]), rotations[1:]))
+        for rotations in (
             slerp_at(samples.seconds, samples.quaternions, ends),
             slerp_at(imu.seconds, turned_by_gyro(imu.seconds, imu.rates), ends),
         )
@@ -269,8 +269,8 @@ def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tup
     if turns_about_one_axis(imu.rates) and not turns_in_place(samples.positions, imu.rates):
         # They do not determine the angle about this axis, and swings do.
         by_swings = rough_orientations(samples.seconds, samples.positions, imu)
-        turned = lie.multiply(lie.conjugate(by_swings), samples.quaternions)
-        little = _LITTLE * np.square(of_imu).sum() * lie.to_matrix(turned).mean(axis=0)
-        turns = np.vstack([of_imu - bias * _INCREMENT_S, little.T])
-        body = closest_rotation(turns, np.vstack([of_marker, np.eye(3)]))
+        rotated = lie.multiply(lie.conjugate(by_swings), samples.quaternions)
+        little = _LITTLE * np.square(of_imu).sum() * lie.to_matrix(rotated).mean(axis=0)
+        rotations = np.vstack([of_imu - bias * _INCREMENT_S, little.T])
+        body = closest_rotation(rotations, np.vstack([of_marker, np.eye(3)]))
     return body, bias

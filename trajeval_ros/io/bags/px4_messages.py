@@ -252,8 +252,8 @@ def _covariances(fields: _Numbers, worlds: Floats, rotations: Floats) -> Floats:
         variances = fields.of("position_variance orientation_variance", 6)
         covariances[:, range(6), range(6)] = np.where(variances > 0.0, variances, np.nan)
     blocks = covariances.reshape(-1, 2, 3, 2, 3)
-    turned: Floats = np.einsum("naij,najbk,nblk->naibl", turns, blocks, turns, optimize=True)
-    return turned.reshape(-1, 6, 6)
+    rotated: Floats = np.einsum("naij,najbk,nblk->naibl", turns, blocks, turns, optimize=True)
+    return rotated.reshape(-1, 6, 6)
 
 
 def _fixes(fields: _Numbers, poses: PoseColumns) -> PoseColumns:
@@ -339,8 +339,10 @@ def with_attitudes(columns: PoseColumns, attitudes: PoseColumns) -> PoseColumns:
     if not len(times):
         return columns
     bracket = bracket_stamps(times, columns.stamps, _LARGEST_GAP_S)
-    turns = slerp(attitudes.quaternions[firsts], bracket.start, bracket.end, bracket.fraction)
-    return columns.replaced(quaternions=turns).picked(bracket.usable, "no_attitude_within_0.1_s")
+    rotations = slerp(attitudes.quaternions[firsts], bracket.start, bracket.end, bracket.fraction)
+    return columns.replaced(quaternions=rotations).picked(
+        bracket.usable, "no_attitude_within_0.1_s"
+    )
 
 
 def majority_frame(columns: PoseColumns) -> PoseColumns:

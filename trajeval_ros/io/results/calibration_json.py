@@ -87,19 +87,21 @@ def _hand_eye(calibrated: Calibrated) -> dict[str, Any]:
         return {"source": calibrated.request.source, "rotation": None, "lever_arm": None}
     calibration = calibrated.calibration
     assert calibration is not None
-    turn, lever = calibration.turn, calibration.lever
+    rotation, lever = calibration.turn, calibration.lever
     return {
         "source": "auto",
         "rotation": {
-            "xyzw": None if turn.value is None else lie.from_rotation_vector(turn.value).tolist(),
+            "xyzw": None
+            if rotation.value is None
+            else lie.from_rotation_vector(rotation.value).tolist(),
             "angle_deg": None
-            if turn.value is None
-            else float(np.degrees(np.linalg.norm(turn.value))),
-            "sigma_deg": None if turn.sigma is None else np.degrees(turn.sigma).tolist(),
+            if rotation.value is None
+            else float(np.degrees(np.linalg.norm(rotation.value))),
+            "sigma_deg": None if rotation.sigma is None else np.degrees(rotation.sigma).tolist(),
             "half_width_95_deg": None
-            if turn.half_width_95 is None
-            else np.degrees(turn.half_width_95).tolist(),
-            **_verdict(turn, calibrated.rotation_applied),
+            if rotation.half_width_95 is None
+            else np.degrees(rotation.half_width_95).tolist(),
+            **_verdict(rotation, calibrated.rotation_applied),
         },
         "lever_arm": {
             "value_m": _list(lever.value),

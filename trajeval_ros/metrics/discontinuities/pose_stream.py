@@ -187,9 +187,9 @@ class SidePoses:
         first = max(self.row_from(begin_s + 1e-9) - 1 - low, 0)
         last = min(self.row_from(end_s - 1e-9) - low, len(stamps) - 1)
         steps = np.diff(stamps)
-        turned = lie.multiply(lie.conjugate(poses[:-1, 3:]), poses[1:, 3:])
+        rotated = lie.multiply(lie.conjugate(poses[:-1, 3:]), poses[1:, 3:])
         velocities = np.diff(poses[:, :3], axis=0) / steps[:, None]
-        rates = lie.rotation_vector(turned) / steps[:, None]
+        rates = lie.rotation_vector(rotated) / steps[:, None]
         inside = slice(first, max(last, first + 1))
         by_m = _changes(velocities, steps, 1)
         by_deg = np.degrees(_changes(rates, steps, 1))
