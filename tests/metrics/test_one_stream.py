@@ -241,9 +241,9 @@ def test_the_memory_is_that_of_a_minute() -> None:
         ("tum/fr2_desk_groundtruth.txt", []),
         ("gnss/husky_outdoor.bag", []),
         ("hilti_2021/Campus_2_prism.txt", []),
-        ("groundtruth_doctor/V1_01_corrected/groundtruth.txt.gz", []),
-        ("groundtruth_doctor/V1_01_original/groundtruth.txt.gz", []),
-        ("groundtruth_doctor/mocap2gt/groundtruth.txt.gz", []),
+        ("groundtruth_quality/V1_01_corrected/groundtruth.txt.gz", []),
+        ("groundtruth_quality/V1_01_original/groundtruth.txt.gz", []),
+        ("groundtruth_quality/mocap2gt/groundtruth.txt.gz", []),
         ("field_cases/slow_groundtruth/rtk.txt", []),
     ],
 )

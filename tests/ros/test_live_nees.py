@@ -28,7 +28,7 @@ from strategies import seeds
 from uncertain_runs import MESSAGE, OPTIONS, sides
 
 from trajeval_ros import CovarianceRequest
-from trajeval_ros.calibration.groundtruth_doctor.examine import examine
+from trajeval_ros.calibration.groundtruth_quality.examine import examine
 from trajeval_ros.consistency.covariance_request import IntegrityRequest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level

@@ -12,7 +12,7 @@ from examined_rigs import rig
 from ros_bags import ODOM, messages_of, write_messages
 from ros_processes import GROUNDTRUTH, ODOMETRY, Peer, assert_same, evaluating, offline
 
-from trajeval_ros.calibration.groundtruth_doctor.examine import examine
+from trajeval_ros.calibration.groundtruth_quality.examine import examine
 from trajeval_ros.online.error_topics import NEES_NUMBERS
 
 pytest.importorskip(

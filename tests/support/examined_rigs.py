@@ -17,7 +17,7 @@ from trajeval_ros.geometry.inertial import InertialReadings
 
 START_NS = 1_700_000_000_000_000_000
 GRAVITY = np.array([0.0, 0.0, 9.81])
-REAL = SHARED / "data" / "groundtruth_doctor"
+REAL = SHARED / "data" / "groundtruth_quality"
 TURNS = {
     "handheld": (0.35, 0.35, 0.5), "car": (0.0, 0.0, 1.2), "turntable": (0.0, 0.0, 1.5),
     "rest": (0.0, 0.0, 0.0),

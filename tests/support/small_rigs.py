@@ -1,4 +1,4 @@
-"""A few knots of the groundtruth doctor, with an IMU and samples that are known."""
+"""A few knots of the groundtruth quality check, with an IMU and samples that are known."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import Horizon, JointFit
-from trajeval_ros.calibration.groundtruth_doctor.rig import Rig
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, rig_at
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_quality.joint_fit import Horizon, JointFit
+from trajeval_ros.calibration.groundtruth_quality.rig import Rig
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import TruthSamples, rig_at
 from trajeval_ros.geometry.preintegration import ImuNoise
 
 NOISE = ImuNoise(2e-3, 2e-2)

@@ -134,8 +134,8 @@ def calibrate(
         >>> from trajeval_ros import calibrate, simulate
         >>> flight = simulate(seed=1, duration_s=60.0)
         >>> late = replace(flight.estimate, stamps=flight.estimate.stamps + 100_000_000)
-        >>> found = calibrate(flight.groundtruth, late, "yaw")
-        >>> found.offset.status, round(float(found.offset.value[0]), 1)
+        >>> result = calibrate(flight.groundtruth, late, "yaw")
+        >>> result.offset.status, round(float(result.offset.value[0]), 1)
         ('significant', -0.1)
     """
     gauge = Gauge.of(gauge)

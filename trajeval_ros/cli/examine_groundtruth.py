@@ -66,7 +66,7 @@ def groundtruth(
 
     docs/groundtruth.md describes the verdicts and their limits.
     """
-    from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE, examine
+    from trajeval_ros.calibration.groundtruth_quality.examine import IMU_NOISE, examine
     from trajeval_ros.cli.evaluation_output import refuse_inputs
     from trajeval_ros.cli.pictures import Pictures
     from trajeval_ros.cli.progress import progress, report_dropped

@@ -89,10 +89,10 @@ def assess_consistency(evaluation: Evaluation, request: CovarianceRequest) -> Co
         >>> growth = np.linspace(1.0, 1.1, len(flight.estimate))
         >>> blocks = growth[:, None, None] * block
         >>> estimate = replace(flight.estimate, covariances=blocks)
-        >>> found = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
+        >>> result = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
         >>> request = CovarianceRequest("message", groundtruth_noise=(0.002, 0.1))
-        >>> consistency = assess_consistency(found, request)
-        >>> consistency.exactness, consistency.nees.shape == (len(found.association),)
+        >>> consistency = assess_consistency(result, request)
+        >>> consistency.exactness, consistency.nees.shape == (len(result.association),)
         ('bound', True)
     """
     as_published = evaluation.protocol.nees_form == "as_published"

@@ -98,9 +98,9 @@ class Consistency:
         >>> growth = np.linspace(1.0, 1.1, len(flight.estimate))
         >>> blocks = growth[:, None, None] * block
         >>> estimate = replace(flight.estimate, covariances=blocks)
-        >>> found = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
+        >>> result = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
         >>> request = CovarianceRequest("message", groundtruth_noise=(0.002, 0.1))
-        >>> consistency = assess_consistency(found, request)
+        >>> consistency = assess_consistency(result, request)
         >>> consistency.errors.shape == consistency.sigmas.shape
         True
     """

@@ -135,8 +135,8 @@ def explain(
         >>> from trajeval_ros import evaluate, explain, simulate
         >>> flight = simulate(seed=1, duration_s=30.0)
         >>> rmse = evaluate(flight.groundtruth, flight.estimate).ate["position_m"].rmse
-        >>> found = explain([(flight.groundtruth, flight.estimate, [f"{rmse:.5f}"])], unit="m")
-        >>> str(found.matches[0].definitions[0])
+        >>> result = explain([(flight.groundtruth, flight.estimate, [f"{rmse:.5f}"])], unit="m")
+        >>> str(result.matches[0].definitions[0])
         'position rmse, se3'
     """
     numbers = [[PublishedNumber.parse(text, unit) for text in texts] for _, _, texts in runs]

@@ -52,8 +52,8 @@ def evaluate(groundtruth: Given, estimate: Given, protocol: Protocol | None = No
         >>> from trajeval_ros import Protocol, evaluate, simulate
         >>> flight = simulate(seed=1, duration_s=30.0)
         >>> protocol = Protocol(modality="stereo-inertial", lengths=(8, 16))
-        >>> found = evaluate(flight.groundtruth, flight.estimate, protocol)
-        >>> 0.0 < found.ate["position_m"].rmse < 1.0
+        >>> result = evaluate(flight.groundtruth, flight.estimate, protocol)
+        >>> 0.0 < result.ate["position_m"].rmse < 1.0
         True
     """
     if not isinstance(protocol, Protocol | None):

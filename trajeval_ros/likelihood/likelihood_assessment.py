@@ -80,8 +80,8 @@ def assess_likelihood(evaluation: Evaluation) -> LikelihoodAssessment:
         >>> rule = AssociationRule("continuous", model="wnoa")
         >>> protocol = Protocol(gauge="yaw", association=rule, lengths=())
         >>> evaluation = evaluate(flight.groundtruth[::100], flight.estimate, protocol)
-        >>> found = assess_likelihood(evaluation)
-        >>> 0.0 <= found.ate.supported_share <= 1.0
+        >>> result = assess_likelihood(evaluation)
+        >>> 0.0 <= result.ate.supported_share <= 1.0
         True
     """
     pairs, protocol = evaluation.association, evaluation.protocol

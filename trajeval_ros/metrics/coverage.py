@@ -167,9 +167,9 @@ def coverage_of(
     order = np.argsort(groundtruth.stamps, kind="stable")
     times = groundtruth.stamps[order]
     needed = order[waypoints(times, max_gap_ns)]
-    found = StampedPoses.of(pairs, np.argsort(pairs.stamps, kind="stable"))
+    poses = StampedPoses.of(pairs, np.argsort(pairs.stamps, kind="stable"))
     # The nearest estimate can be beyond the groundtruth's ends; coverage ends there.
-    within = found._replace(stamps=found.stamps.clip(times[0], times[-1]))
+    within = poses._replace(stamps=poses.stamps.clip(times[0], times[-1]))
     sums = CoverageSums(max_gap_s)
     sums.add(StepMeter(max_gap_ns).measure(StampedPoses.of(groundtruth, needed), within))
     return sums.coverage(time_without_gaps(times, max_gap_ns), len(groundtruth), frozen_ns)

@@ -86,10 +86,10 @@ class Evaluation:
     Example:
         >>> from trajeval_ros import evaluate, simulate
         >>> flight = simulate(seed=1, duration_s=30.0)
-        >>> found = evaluate(flight.groundtruth, flight.estimate)
-        >>> found.absolute.position_m.shape == (len(found.association),)
+        >>> result = evaluate(flight.groundtruth, flight.estimate)
+        >>> result.absolute.position_m.shape == (len(result.association),)
         True
-        >>> sorted(found.to_columns("8m"))[:2]
+        >>> sorted(result.to_columns("8m"))[:2]
         ['ends', 'position_m']
     """
 

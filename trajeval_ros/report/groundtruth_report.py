@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import HALF_WIDTH
+from trajeval_ros.calibration.groundtruth_quality.quality_causes import HALF_WIDTH
 from trajeval_ros.formatting.numbers import four_digits
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.report import canvas
@@ -18,7 +18,7 @@ from trajeval_ros.report.console import Console, Table, show
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, Fits
+    from trajeval_ros.calibration.groundtruth_quality.examine import ExaminedGroundtruth, Fits
 
 _WORDS = ("cause", "verdict")
 _NUMBERS = ("value", "+- 95 %", "unit", "p")

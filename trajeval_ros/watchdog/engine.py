@@ -89,8 +89,8 @@ class Watchdog:
         groups += [
             other.notices for other in self._others.values() if isinstance(other, Comparison)
         ]
-        found = [item for group in groups for item in group]
-        return [*self._told, *found]
+        result = [item for group in groups for item in group]
+        return [*self._told, *result]
 
     @property
     def about_yaw(self) -> Remark | None:
@@ -240,12 +240,12 @@ class Watchdog:
     def _since_armed(self, signals: Signals) -> Signals:
         """Return the readings since arming."""
         assert self.armed_s is not None
-        found = {}
+        result = {}
         for name, (seconds, values) in signals.items():
             first = int(np.searchsorted(seconds, self.armed_s))
             if first < len(seconds):
-                found[name] = Readings(seconds[first:], values[first:])
-        return found
+                result[name] = Readings(seconds[first:], values[first:])
+        return result
 
     def add_source(self, name: str, stamps: Stamps, *columns: Floats) -> Signals:
         """Add rows of another source, with timestamps (N,), ns; return the signals.

@@ -129,10 +129,10 @@ def window_begins(rows: Floats, first: int, window_s: float) -> tuple[Indices, B
         has no gap and does not start before the first row.
     """
     asked = rows[first:]
-    wanted = asked[:, TIME] - window_s - HALF_NS
-    begins = np.searchsorted(rows[:, TIME], wanted)
-    known = (wanted + 2.0 * HALF_NS >= asked[:, SINCE]) & (
-        wanted + 2.0 * HALF_NS >= rows[0, TIME] if len(rows) else False
+    starts_ns = asked[:, TIME] - window_s - HALF_NS
+    begins = np.searchsorted(rows[:, TIME], starts_ns)
+    known = (starts_ns + 2.0 * HALF_NS >= asked[:, SINCE]) & (
+        starts_ns + 2.0 * HALF_NS >= rows[0, TIME] if len(rows) else False
     )
     return begins, known
 

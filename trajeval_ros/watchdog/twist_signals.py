@@ -105,9 +105,9 @@ class TwistSignals:
         pose, twist = (
             change_within(rows, old, _WINDOW_S, columns) for columns in (POSITION, _INTEGRAL)
         )
-        found = finite(rows[old:, TIME], only(lengths(pose - twist), known))
+        result = finite(rows[old:, TIME], only(lengths(pose - twist), known))
         self._rows.forget(new[-1, TIME] - 2.0 * _WINDOW_S)
-        return {"twist_m_5s": found}
+        return {"twist_m_5s": result}
 
     def _integrate(self, first: int, velocities: Floats) -> None:
         """Integrate the velocities in the estimate's world frame, by the trapezoidal rule."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth
+from trajeval_ros.calibration.groundtruth_quality.examine import ExaminedGroundtruth
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.hand_eye_file import hand_eye_json
 
@@ -13,7 +13,7 @@ SCHEMA = "trajeval-groundtruth/1"
 
 
 def groundtruth_json(
-    truth: str, imu: str | None, original: Trajectory, found: ExaminedGroundtruth
+    truth: str, imu: str | None, original: Trajectory, result: ExaminedGroundtruth
 ) -> dict[str, Any]:
     """Return verdicts, fits and noise; `truth` and `imu` are the sources."""
     result: dict[str, Any] = {
@@ -22,12 +22,12 @@ def groundtruth_json(
         "imu": imu,
         "causes": [
             {**dataclasses.asdict(cause), "half_width_95": cause.half_width}
-            for cause in found.causes.values()
+            for cause in result.causes.values()
         ],
-        "poses": dataclasses.asdict(found.poses),
-        "notes": list(found.notes),
+        "poses": dataclasses.asdict(result.poses),
+        "notes": list(result.notes),
     }
-    fits = found.fits
+    fits = result.fits
     if fits is not None:
         rig, noise_m, noise_rad = fits.rig, fits.position_noise_m, fits.rotation_noise_rad
         biases = rig.biases.mean(axis=0).tolist()

@@ -32,8 +32,8 @@ def write_result(outcome: Outcome, folder: str | Path) -> Path:
         >>> flight = simulate(seed=1, duration_s=30.0)
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = write_result(run(flight.groundtruth, [flight.estimate]), folder)
-        ...     found = json.loads(path.read_text())
-        >>> path.name, len(found["runs"])
+        ...     result = json.loads(path.read_text())
+        >>> path.name, len(result["runs"])
         ('result.json', 1)
     """
     folder = Path(folder)

@@ -1,4 +1,4 @@
-"""Where the groundtruth doctor's fit starts, and the steps of its IMU, in cases by hand."""
+"""Where the groundtruth quality check's fit starts, and the steps of its IMU, in cases by hand."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 from examined_rigs import START_NS, rig
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibration.groundtruth_doctor import start
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import (
+from trajeval_ros.calibration.groundtruth_quality import start
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import (
     ImuSeconds,
     InertialSteps,
     turns_about_one_axis,
 )
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import TruthSamples
 
 
 def test_steps_of_an_imu_that_are_doubtful() -> None:

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
-from trajeval_ros.calibration.groundtruth_doctor.sample_checks import PoseSpan
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import rig_at
+from trajeval_ros.calibration.groundtruth_quality.joint_fit import JointFit
+from trajeval_ros.calibration.groundtruth_quality.sample_checks import PoseSpan
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import rig_at
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
@@ -52,10 +52,10 @@ def repaired(
         )
 
     def states(seconds: Floats) -> tuple[Floats | Indices, ...]:
-        found = rig_at(seconds, steps, fit.motions, rig)
-        rotated = world_from_body_rotations(covariances[found.knots], found.rotations)
-        quaternions = lie.from_matrices(found.rotations)
-        return found.positions, quaternions, found.velocities, rig.biases[found.knots], rotated
+        result = rig_at(seconds, steps, fit.motions, rig)
+        rotated = world_from_body_rotations(covariances[result.knots], result.rotations)
+        quaternions = lie.from_matrices(result.rotations)
+        return result.positions, quaternions, result.velocities, rig.biases[result.knots], rotated
 
     positions, quaternions, velocities, biases, rotated = lie.by_blocks(states, seconds[within])
     return Trajectory(
@@ -78,5 +78,5 @@ def _with_bridges(stamps: Stamps, gaps: tuple[PoseSpan, ...]) -> Stamps:
         for gap in gaps
         if gap.duration_s <= _LONGEST_BRIDGE_S
     ]
-    found: Stamps = np.unique(np.concatenate([stamps, *bridges]))
-    return found
+    result: Stamps = np.unique(np.concatenate([stamps, *bridges]))
+    return result

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import MEDIAN_OF_CHI3
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import ImuSeconds
+from trajeval_ros.calibration.groundtruth_quality.joint_fit import JointFit
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import MEDIAN_OF_CHI3
 from trajeval_ros.calibration.robust_fit import BLOCKS
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, runs_of
@@ -133,12 +133,12 @@ class ResidualChecks:
 
 def check_residuals(fit: JointFit, stamps: Stamps) -> ResidualChecks:
     """Check the residuals of a fit of the groundtruth with timestamps (N,), which increase."""
-    found = fit.predicted
+    result = fit.predicted
     kinds = [
-        ("position", found.position_errors, found.marker_velocities),
-        ("rotation", found.rotation_errors @ fit.rig.body.T, found.rates),
+        ("position", result.position_errors, result.marker_velocities),
+        ("rotation", result.rotation_errors @ fit.rig.body.T, result.rates),
     ][: 1 + fit.samples.has_rotations]
-    stamps = stamps[found.rows]
+    stamps = stamps[result.rows]
     minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
     jumps: list[GroundtruthJump] = []
     noisy, outliers = [], []

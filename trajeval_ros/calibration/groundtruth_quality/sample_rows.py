@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps, Motions
-from trajeval_ros.calibration.groundtruth_doctor.rig import (
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import InertialSteps, Motions
+from trajeval_ros.calibration.groundtruth_quality.rig import (
     BODY,
     GRAVITY,
     LEVER,
@@ -87,17 +87,17 @@ def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: 
     inside = np.flatnonzero((seconds >= steps.knots[0]) & (seconds < steps.knots[-1]))
 
     def at(rows: Indices) -> Predicted:
-        found = rig_at(seconds[rows], steps, motions, rig)
-        rotated, measured = found.rotations, lie.to_matrix(samples.quaternions[rows])
+        result = rig_at(seconds[rows], steps, motions, rig)
+        rotated, measured = result.rotations, lie.to_matrix(samples.quaternions[rows])
         return Predicted(
             rows,
-            found.knots,
-            found.since_s,
-            found.turned,
-            found.moved + times(found.turned, rig.lever),
-            found.velocities + times(rotated, np.cross(found.rates, rig.lever)),
-            found.rates,
-            found.positions + times(rotated, rig.lever) - samples.positions[rows],
+            result.knots,
+            result.since_s,
+            result.turned,
+            result.moved + times(result.turned, rig.lever),
+            result.velocities + times(rotated, np.cross(result.rates, rig.lever)),
+            result.rates,
+            result.positions + times(rotated, rig.lever) - samples.positions[rows],
             so3.log(transposed(measured) @ rotated @ rig.body),
         )
 
@@ -166,17 +166,17 @@ class SampleRows:
         self.shares[places, 3:] = (count / width)[:, None]
 
 
-def averaged(found: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
+def averaged(result: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
     """Return the weighted means of the samples of every interval, with their Jacobians."""
-    starts = np.flatnonzero(np.diff(found.knots, prepend=-1))
-    ends = np.append(starts[1:], len(found.knots))
-    of_position, position_scale = _weights(found.position_errors)
-    of_rotation, rotation_scale = _weights(found.rotation_errors)
+    starts = np.flatnonzero(np.diff(result.knots, prepend=-1))
+    ends = np.append(starts[1:], len(result.knots))
+    of_position, position_scale = _weights(result.position_errors)
+    of_rotation, rotation_scale = _weights(result.rotation_errors)
     usual, unit = float(np.median(ends - starts)), np.eye(3)
 
     def rows(starts: Indices, ends: Indices) -> tuple[Floats | Indices, ...]:
         part = slice(starts[0], ends[-1])
-        own = Predicted._make(item[part] for item in found)
+        own = Predicted._make(item[part] for item in result)
         starts = starts - starts[0]
         knots, tau = own.knots[starts], own.since_s
         start = rig.rotations[knots]

@@ -8,21 +8,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor import doctor_causes, start
-from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
-    HALF_WIDTH,
-    PARAMETERS,
-    GroundtruthCause,
-)
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import (
+from trajeval_ros.calibration.groundtruth_quality import quality_causes, start
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import InertialSteps
+from trajeval_ros.calibration.groundtruth_quality.joint_fit import (
     LEVER_M,
     Horizon,
     HorizonFit,
     JointFit,
 )
-from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
-from trajeval_ros.calibration.groundtruth_doctor.rig import (
+from trajeval_ros.calibration.groundtruth_quality.quality_causes import (
+    HALF_WIDTH,
+    PARAMETERS,
+    GroundtruthCause,
+)
+from trajeval_ros.calibration.groundtruth_quality.repair import repaired
+from trajeval_ros.calibration.groundtruth_quality.rig import (
     BODY,
     CLOCK,
     GRAVITY,
@@ -31,7 +31,7 @@ from trajeval_ros.calibration.groundtruth_doctor.rig import (
     UNITS,
     Rig,
 )
-from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
+from trajeval_ros.calibration.groundtruth_quality.sample_checks import (
     PoseChecks,
     ResidualChecks,
     check_poses,
@@ -137,8 +137,8 @@ def examine(
         checks = check_poses(groundtruth, None, first)
         events = stream_discontinuities(groundtruth, GROUNDTRUTH)
         causes = [
-            *doctor_causes.discontinuity_causes(events, first),
-            *doctor_causes.sample_causes(checks, None, first),
+            *quality_causes.discontinuity_causes(events, first),
+            *quality_causes.sample_causes(checks, None, first),
         ]
         by_name = {cause.name: cause for cause in causes}
         return ExaminedGroundtruth(by_name, checks, None, tuple(_notes(checks)))
@@ -155,27 +155,27 @@ def _with_imu(
     case = start.prepared(ordered, readings, time_offset_s)
     short, long, lasting = _two_fits(case, imu_noise)
     brief = short.summary()
-    found, disagree = _combined(case, brief, lasting)
+    result, disagree = _combined(case, brief, lasting)
     poses = check_poses(groundtruth, case.imu, case.imu.origin - case.shift_ns)
     residuals = check_residuals(short, ordered.stamps)
     causes = [
-        *doctor_causes.parameter_causes(found, case.free),
-        doctor_causes.fused_cause(brief, lasting, disagree=disagree),
-        *doctor_causes.sample_causes(poses, residuals, int(ordered.stamps[0])),
+        *quality_causes.parameter_causes(result, case.free),
+        quality_causes.fused_cause(brief, lasting, disagree=disagree),
+        *quality_causes.sample_causes(poses, residuals, int(ordered.stamps[0])),
     ]
     by_name, scale = {cause.name: cause for cause in causes}, 1.0
     (noise_m, noise_rad), chosen = short.rows.scales, long if disagree else short
-    _apply(chosen, short, by_name, _noisy(case, found))
+    _apply(chosen, short, by_name, _noisy(case, result))
     if not case.samples.has_rotations:
-        by_name |= {item.name: item for item in doctor_causes.OF_ROTATION}
-        scale = float(np.median(np.square(found.sigmas[case.free] / brief.sigmas[case.free])))
+        by_name |= {item.name: item for item in quality_causes.OF_ROTATION}
+        scale = float(np.median(np.square(result.sigmas[case.free] / brief.sigmas[case.free])))
     rig = chosen.rig
     fits = Fits(
         brief,
         lasting,
         disagree,
         replace(rig, offset_s=rig.shift_s + rig.offset_s, shift_s=0.0),
-        _hand_eye_covariance(rig.body, found),
+        _hand_eye_covariance(rig.body, result),
         noise_m,
         noise_rad if case.samples.has_rotations else None,
         residuals,
@@ -260,7 +260,7 @@ def _difference(short: HorizonFit, long: HorizonFit) -> tuple[Floats, bool]:
     return apart, bool(((apart > _DISAGREE) & (apart > limit)).any())
 
 
-def _noisy(case: start.Prepared, found: HorizonFit) -> Booleans:
+def _noisy(case: start.Prepared, result: HorizonFit) -> Booleans:
     """Return which parameters (10,) are more probably zero than their values.
 
     Parts of the body's rotation are not applied alone.
@@ -270,7 +270,7 @@ def _noisy(case: start.Prepared, found: HorizonFit) -> Booleans:
     limits[LEVER][np.abs(case.imu.accelerations.mean(axis=0)).argmax()] = HALF_WIDTH
     if not case.samples.has_rotations:
         limits[CLOCK] = HALF_WIDTH
-    ratios = np.abs(found.values) / found.sigmas
+    ratios = np.abs(result.values) / result.sigmas
     ratios[BODY] = np.sqrt(np.square(ratios[BODY]).mean())
     return np.asarray((ratios < limits) | ~case.free)
 
@@ -288,19 +288,19 @@ def _apply(
     fixed[GRAVITY] = False
     fixed[LEVER] &= causes["lever_arm"].verdict != SIGNIFICANT
     for name in ("body_rotation", "lever_arm"):
-        fixed[PARAMETERS[name].columns] |= causes[name].verdict == doctor_causes.INCONCLUSIVE
+        fixed[PARAMETERS[name].columns] |= causes[name].verdict == quality_causes.INCONCLUSIVE
     if chosen is not short:
         rig = replace(rig, offset_s=short.rig.offset_s, skew=short.rig.skew)
         free[CLOCK] = False
     chosen.solve_again(rig.without(fixed), free & ~fixed)
 
 
-def _hand_eye_covariance(body: Floats, found: HorizonFit) -> Floats:
+def _hand_eye_covariance(body: Floats, result: HorizonFit) -> Floats:
     """Return the covariance (6, 6) of T_I_M; along fixed directions it is that of the prior."""
-    covariance = np.diag(np.square(np.roll(found.sigmas[:6] / UNITS[:6], 3)))
+    covariance = np.diag(np.square(np.roll(result.sigmas[:6] / UNITS[:6], 3)))
     covariance[:3, :3] += sum(
         LEVER_M**2 * np.outer(fixed_direction, fixed_direction)
-        for fixed_direction in found.fixed_directions
+        for fixed_direction in result.fixed_directions
     )
     covariance[3:, 3:] = body @ covariance[3:, 3:] @ body.T
     return covariance
@@ -312,7 +312,7 @@ def _notes_on_imu(case: start.Prepared) -> Iterator[str]:
     for what, steps in (("gap", case.imu.gaps), ("saturated interval", case.imu.saturated)):
         if steps.any():
             spans = spans_of(stamps, runs_of(steps))
-            yield f"the IMU has {doctor_causes.longest_of(spans, what, first_ns)[:-1]}"
+            yield f"the IMU has {quality_causes.longest_of(spans, what, first_ns)[:-1]}"
 
 
 def _notes(poses: PoseChecks) -> list[str]:

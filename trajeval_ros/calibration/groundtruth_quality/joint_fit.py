@@ -18,12 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import (
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import (
     InertialSteps,
     turns_about_one_axis,
 )
-from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, UNITS, Rig, tangents
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, averaged, predict
+from trajeval_ros.calibration.groundtruth_quality.rig import GRAVITY, LEVER, UNITS, Rig, tangents
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import (
+    TruthSamples,
+    averaged,
+    predict,
+)
 from trajeval_ros.calibration.robust_fit import BLOCKS
 from trajeval_ros.calibration.significance import axis_name
 from trajeval_ros.geometry import so3

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import HorizonFit
-from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, UNITS
-from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
+from trajeval_ros.calibration.groundtruth_quality.joint_fit import HorizonFit
+from trajeval_ros.calibration.groundtruth_quality.rig import BODY, GRAVITY, LEVER, UNITS
+from trajeval_ros.calibration.groundtruth_quality.sample_checks import (
     PoseChecks,
     PoseSpan,
     ResidualChecks,
@@ -108,14 +108,14 @@ OF_ROTATION = [
 ]
 
 
-def parameter_causes(found: HorizonFit, observable: Booleans) -> Iterator[GroundtruthCause]:
+def parameter_causes(result: HorizonFit, observable: Booleans) -> Iterator[GroundtruthCause]:
     """Yield the verdicts on the calibration; `observable` (10,) has what is estimated."""
     for name, parameter in PARAMETERS.items():
-        value, sigma = found.values[parameter.columns], found.sigmas[parameter.columns]
+        value, sigma = result.values[parameter.columns], result.sigmas[parameter.columns]
         if not observable[parameter.columns].any():
             yield GroundtruthCause(name, INCONCLUSIVE, unit=parameter.unit)
             continue
-        fixed = found.fixed_axes if name == "lever_arm" else ""
+        fixed = result.fixed_axes if name == "lever_arm" else ""
         chance = chance_of(value, np.diag(sigma**2), BLOCKS)
         size = float(np.linalg.norm(value))
         along = float(sigma.max()) if size == 0.0 else float(np.linalg.norm(value * sigma)) / size
@@ -145,7 +145,7 @@ def fused_cause(short: HorizonFit, long: HorizonFit, *, disagree: bool) -> Groun
         "deg): the groundtruth was fused with an IMU under a wrong body transform. Between poses, "
         f"its orientation is uncertain by {sigma_deg:.2g} deg."
     )
-    return _found("fused", abs(long_deg - short_deg), "deg", sentence, found=disagree)
+    return _cause("fused", abs(long_deg - short_deg), "deg", sentence, significant=disagree)
 
 
 def sample_causes(
@@ -170,7 +170,7 @@ def sample_causes(
             f"{uneven:.0f} % of their length."),
     ]  # fmt: skip
     return [
-        _found(name, value, unit, sentence, found=value > limit)
+        _cause(name, value, unit, sentence, significant=value > limit)
         for name, value, unit, limit, sentence in rows
     ]
 
@@ -188,7 +188,7 @@ def discontinuity_causes(events: Sequence[Event], origin: int) -> Iterator[Groun
                 f"{counted(len(group), noun)} of {'up to ' * (len(group) > 1)}"
                 f"{size}{which} at {(largest.t_ns - origin) / 1e9:.2f} s{advice}."
             )
-        yield _found(name, len(group), "", sentence, found=bool(group))
+        yield _cause(name, len(group), "", sentence, significant=bool(group))
 
 
 def _of_residuals(checks: ResidualChecks, origin: int) -> Iterator[_Row]:
@@ -218,6 +218,6 @@ def longest_of(spans: Sequence[PoseSpan], what: str, origin: int) -> str:
     return f"{number}; the longest is {longest.duration_s:.2f} s at {second:.2f} s."
 
 
-def _found(name: str, value: float, unit: str, sentence: str, *, found: bool) -> GroundtruthCause:
-    verdict = SIGNIFICANT if found else INSIGNIFICANT
-    return GroundtruthCause(name, verdict, float(value), unit, sentence=sentence * found)
+def _cause(name: str, value: float, unit: str, sentence: str, *, significant: bool) -> GroundtruthCause:
+    verdict = SIGNIFICANT if significant else INSIGNIFICANT
+    return GroundtruthCause(name, verdict, float(value), unit, sentence=sentence * significant)

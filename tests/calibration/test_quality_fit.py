@@ -1,4 +1,4 @@
-"""Noise, blocks, windows and repair of the groundtruth doctor's fit."""
+"""Noise, blocks, windows and repair of the groundtruth quality check's fit."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from small_rigs import Small, small_rig
 
-from trajeval_ros.calibration.groundtruth_doctor import start
-from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE, _fitted
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import Horizon, JointFit
-from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
-from trajeval_ros.calibration.groundtruth_doctor.rig import LEVER
-from trajeval_ros.calibration.groundtruth_doctor.sample_checks import PoseSpan
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
+from trajeval_ros.calibration.groundtruth_quality import start
+from trajeval_ros.calibration.groundtruth_quality.examine import IMU_NOISE, _fitted
+from trajeval_ros.calibration.groundtruth_quality.joint_fit import Horizon, JointFit
+from trajeval_ros.calibration.groundtruth_quality.repair import repaired
+from trajeval_ros.calibration.groundtruth_quality.rig import LEVER
+from trajeval_ros.calibration.groundtruth_quality.sample_checks import PoseSpan
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import (
     SampleRows,
     _means,
     rig_at,

@@ -12,7 +12,7 @@ from examined_rigs import START_NS, ExaminedRig, real, reference, rig
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros import InputError, Trajectory
-from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, Fits, examine
+from trajeval_ros.calibration.groundtruth_quality.examine import ExaminedGroundtruth, Fits, examine
 from trajeval_ros.geometry.inertial import InertialReadings
 
 FAULTS: dict[str, Any] = {
@@ -425,7 +425,7 @@ def test_poses_alone() -> None:
 def test_positions_of_real_recordings_agree_with_their_references(name: str) -> None:
     truth, readings = real(name)
     result = examine(dataclasses.replace(truth, quaternions=None), readings)
-    external = reference(Path("groundtruth_doctor.json"))["external"].get(name, {})
+    external = reference(Path("groundtruth_quality.json"))["external"].get(name, {})
     for cause, key in (("lever_arm", "lever_mm"), ("clock_offset", "offset_ms")):
         known = np.zeros(3) if cause == "lever_arm" else np.zeros(1)
         half_width = result.causes[cause].half_width
@@ -441,7 +441,7 @@ def test_positions_of_real_recordings_agree_with_their_references(name: str) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["V1_01_original", "V1_01_corrected", "mocap2gt", "MH_05"])
 def test_real_recordings_give_the_reference(name: str) -> None:
-    stored = reference(Path("groundtruth_doctor.json"))
+    stored = reference(Path("groundtruth_quality.json"))
     expected, external = stored["real"][name], stored["external"]
     truth, readings = real(name)
     result = examine(truth, readings)

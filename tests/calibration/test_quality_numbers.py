@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from small_rigs import small_rig
 
-from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
-    HALF_WIDTH,
-    PARAMETERS,
-    GroundtruthCause,
-)  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.examine import (
+from trajeval_ros.calibration.groundtruth_quality.examine import (
     ExaminedGroundtruth,
     _apply,
     _noisy,
     examine,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.rig import LEVER, OFFSET, SKEW, UNITS
-from trajeval_ros.calibration.groundtruth_doctor.start import imu_of
+from trajeval_ros.calibration.groundtruth_quality.quality_causes import (
+    HALF_WIDTH,
+    PARAMETERS,
+    GroundtruthCause,
+)  # fmt: skip
+from trajeval_ros.calibration.groundtruth_quality.rig import LEVER, OFFSET, SKEW, UNITS
+from trajeval_ros.calibration.groundtruth_quality.start import imu_of
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.inertial import InertialReadings
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset_by
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import (
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import (
     ImuSeconds,
     turns_about_one_axis,
 )
-from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, SKEW, UNITS, Rig
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
+from trajeval_ros.calibration.groundtruth_quality.rig import BODY, GRAVITY, LEVER, SKEW, UNITS, Rig
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import TruthSamples
 from trajeval_ros.calibration.hand_eye import closest_rotation, robust_rotation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie

@@ -79,8 +79,8 @@ class InertialSteps:
         self.held = np.where(real, np.diff(self.times)[rows], 0.0)
         self.starts = np.pad(np.cumsum(self.held, axis=1), [(0, 0), (1, 0)])
         both = np.hstack([imu.rates, imu.accelerations])
-        found = columns_at(imu.seconds, both, self.times)
-        middles = (0.5 * (found[1:] + found[:-1]))[rows]
+        result = columns_at(imu.seconds, both, self.times)
+        middles = (0.5 * (result[1:] + result[:-1]))[rows]
         self.rates, self.accelerations = middles[..., :3], middles[..., 3:]
         places = np.searchsorted(imu.seconds, self.times[:-1], side="right") - 1
         doubtful = (imu.gaps | imu.saturated)[np.clip(places, 0, len(imu.seconds) - 2)]
@@ -98,6 +98,6 @@ class InertialSteps:
 
     def uncertainty(self, bias: Floats, noise: ImuNoise) -> tuple[Floats, Floats]:
         """Return covariances (K, 9, 9) and derivatives by the biases (K, 9, 6) at a bias (3,)."""
-        found = preintegrate(self.rates - bias, self.accelerations, self.held, noise)
+        result = preintegrate(self.rates - bias, self.accelerations, self.held, noise)
         factor = np.where(self.doubtful, _DOUBTFUL, 1.0)[:, None, None]
-        return found.covariances * factor + _LEAST, found.by_biases
+        return result.covariances * factor + _LEAST, result.by_biases

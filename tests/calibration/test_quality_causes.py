@@ -1,4 +1,4 @@
-"""Verdicts of the groundtruth doctor at their limits, and their sentences."""
+"""Verdicts of the groundtruth quality check at their limits, and their sentences."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
-from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
+from trajeval_ros.calibration.groundtruth_quality.examine import (
+    _notes,
+)  # fmt: skip
+from trajeval_ros.calibration.groundtruth_quality.quality_causes import (
     GroundtruthCause,
     discontinuity_causes,
     fused_cause,
     parameter_causes,
     sample_causes,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.examine import (
-    _notes,
-)  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
+from trajeval_ros.calibration.groundtruth_quality.sample_checks import (
     GroundtruthJump,
     PoseChecks,
     PoseSpan,

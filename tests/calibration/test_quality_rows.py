@@ -1,4 +1,4 @@
-"""Residuals, Jacobians and normal equations of the groundtruth doctor, by differences."""
+"""Residuals, Jacobians and normal equations of the groundtruth quality check, by differences."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from small_rigs import Small, small_rig
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
-from trajeval_ros.calibration.groundtruth_doctor.rig import (
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_quality.joint_fit import JointFit
+from trajeval_ros.calibration.groundtruth_quality.rig import (
     BODY,
     GRAVITY,
     LEVER,
@@ -21,7 +21,7 @@ from trajeval_ros.calibration.groundtruth_doctor.rig import (
     Rig,
     tangents,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import (
     averaged,
     predict,
     rig_at,

@@ -1,4 +1,4 @@
-"""Checks of single poses and of an IMU by the groundtruth doctor, in cases by hand."""
+"""Checks of single poses and of an IMU by the groundtruth quality check, in cases by hand."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from examined_rigs import START_NS
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibration.groundtruth_doctor.examine import _difference
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
-from trajeval_ros.calibration.groundtruth_doctor.repair import _with_bridges
-from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
+from trajeval_ros.calibration.groundtruth_quality.examine import _difference
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import ImuSeconds
+from trajeval_ros.calibration.groundtruth_quality.repair import _with_bridges
+from trajeval_ros.calibration.groundtruth_quality.sample_checks import (
     PoseSpan,
     _jitter,
     _noise,
@@ -23,8 +23,8 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     check_poses,
     check_residuals,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import _weights
-from trajeval_ros.calibration.groundtruth_doctor.start import turns_in_place
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import _weights
+from trajeval_ros.calibration.groundtruth_quality.start import turns_in_place
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
