@@ -30,7 +30,7 @@ _IMPORTED_WHEN_USED = (
 )
 
 
-def ours(path: Path) -> tuple[int, float]:
+def actual(path: Path) -> tuple[int, float]:
     """Read by column."""
     return read_sources([f"{path}:{topic}" for topic in TOPICS])
 
@@ -113,7 +113,7 @@ def bytes_read() -> int:
 
 
 OURS = "trajeval_ros"
-READERS = {OURS: ours, "rosbags AnyReader": any_reader, "mcap-ros2-support": mcap_ros2}
+READERS = {OURS: actual, "rosbags AnyReader": any_reader, "mcap-ros2-support": mcap_ros2}
 
 if __name__ == "__main__":
     reader, file = sys.argv[1:]

@@ -42,7 +42,7 @@ _TIES = {"convention_tie", "up_axis_or_mirrored", "small_clock_offset"}
 _KNOWN = {"S-PTAM": "small_clock_offset"}  # its stamps are late
 
 
-def found(pair: Pair) -> Diagnosis:
+def diagnosis_of(pair: Pair) -> Diagnosis:
     """Diagnose a pair as `trajeval diagnose` does, with tried advice."""
     return diagnose(pair.truth, pair.estimate, Request(pair.protocol))[0]
 
@@ -83,7 +83,7 @@ def matrix(pairs: list[Pair], mistakes: dict[str, Mistake]) -> None:
                 if not mistake.applies(pair):
                     continue
                 wrong = mistake.make(pair)
-                what = found(wrong)
+                what = diagnosis_of(wrong)
                 text = verdict(pair, what, mistake.causes)
                 count[text] += 1
                 if text != RIGHT:
@@ -116,7 +116,7 @@ def left_by_corrections(pair: Pair, wrong: Pair) -> float:
         after = run(wrong.truth, [wrong.estimate], request).runs[0]
         steps = [item.correction for item in after.corrected]
     except TrajevalError:  # nothing can be evaluated before
-        advised = found(wrong).suggested
+        advised = diagnosis_of(wrong).suggested
         assert advised is not None
         steps = [advised.correction]
         request = dataclasses.replace(request.corrected(steps[0]), correct="")
@@ -165,7 +165,7 @@ def alarms(title: str, pairs: Iterable[Pair]) -> None:
     """Print how many right recordings alarm."""
     number, named = 0, []
     for pair in pairs:
-        diagnosis = found(pair)
+        diagnosis = diagnosis_of(pair)
         number += 1
         causes = [one.cause for one in diagnosis.findings if not _is_known(pair, one.cause)]
         if causes:
@@ -197,10 +197,10 @@ def combinations(pairs: list[Pair]) -> None:
         pair = pairs[number % len(pairs)]
         wrong = MISTAKES[one].make(MISTAKES[other].make(pair))
         expected = set(firsts[one]) | set(seconds[other])
-        first = found(wrong).suggested
+        first = diagnosis_of(wrong).suggested
         causes = [first.cause if first else SILENT]
         if first is not None and first.correction:
-            after = found(corrected(wrong, dict(first.correction)))
+            after = diagnosis_of(corrected(wrong, dict(first.correction)))
             causes.append(after.suggested.cause if after.suggested else SILENT)
         graver += causes[0] in expected
         named = causes[0] in expected and len(causes) > 1 and causes[1] in expected - {causes[0]}
@@ -238,7 +238,7 @@ def thinned(pairs: list[Pair]) -> None:
             changed = change(mistake.make(pair))
             if not (len(changed.truth) and len(changed.estimate)):
                 continue
-            diagnosis = found(changed)
+            diagnosis = diagnosis_of(changed)
             text = verdict(pair, diagnosis, mistake.causes)
             if text == WRONG and diagnosis.suggested is not None:
                 print(f"  {title}: {name} on {pair.name}: {diagnosis.suggested.cause}")
@@ -257,7 +257,7 @@ def strangers(pairs: list[Pair]) -> None:
         truth = dataclasses.replace(other.truth, stamps=stamps)
         max_gap_s = max(one.max_gap_s, other.max_gap_s)
         stranger = dataclasses.replace(one, truth=truth, max_gap_s=max_gap_s)
-        diagnosis = found(stranger)
+        diagnosis = diagnosis_of(stranger)
         text = verdict(stranger, diagnosis, ("other_run",))
         if text == WRONG and diagnosis.suggested is not None:
             print(f"  {one.name} with {other.name}: {diagnosis.suggested.cause}")
@@ -330,7 +330,7 @@ def main() -> None:
         alarms("2 Hz", (_every(item, 0.5) for item in real))
         alarms("1 Hz", (_every(item, 1.0) for item in real))
     if "combinations" in expected:
-        yaw = [pair for pair in real + made if pair.gauge.turns_about_gravity_only]
+        yaw = [pair for pair in real + made if pair.gauge.yaw_only]
         combinations(yaw)
     if "strangers" in expected:
         strangers(real + made)

@@ -21,7 +21,7 @@ from benchmarks.diagnosis_runs import Pair
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
 

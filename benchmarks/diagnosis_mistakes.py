@@ -13,7 +13,7 @@ from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import FORMAT, SourceInfo
+from trajeval_ros.geometry.source_info import FORMAT, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Make = Callable[[Pair], Pair]

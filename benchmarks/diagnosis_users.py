@@ -29,7 +29,7 @@ _ROTATIONS = ("rotations",)
 _HALF = ("axes_mixed", "mirrored", "rotations", "body", "up_axis", "convention_tie")
 
 
-def _turned(world: Array, body: Array, *, positions: bool = False) -> Make:
+def _rotated(world: Array, body: Array, *, positions: bool = False) -> Make:
     """Return what multiplies rotations (W R B), and positions (W p) if asked."""
     left, right = lie.from_matrix(world), lie.from_matrix(body)
 
@@ -173,24 +173,24 @@ USERS: dict[str, Mistake] = {
     "both optical": Mistake(_both_optical, ("groundtruth_up_axis", "tilted"), "yaw"),
     "world tilted by 68 deg": Mistake(_world_tilted(68.0), ("tilted",), "yaw"),
     "camera poses": Mistake(
-        _turned(CAMERA, CAMERA.T, positions=True), ("up_axis", "body"), "yaw"
+        _rotated(CAMERA, CAMERA.T, positions=True), ("up_axis", "body"), "yaw"
     ),
     "raw NED and FRD": Mistake(
-        _turned(NED, FRD, positions=True), ("up_axis", "body", "up_axis_or_mirrored")
+        _rotated(NED, FRD, positions=True), ("up_axis", "body", "up_axis_or_mirrored")
     ),
-    "positions alone converted": Mistake(_turned(NED, FRD), _HALF),
+    "positions alone converted": Mistake(_rotated(NED, FRD), _HALF),
     "orientations alone converted": Mistake(
         lambda pair: change(pair, "estimate", positions=pair.estimate.positions @ NED.T), _HALF
     ),
-    "body left FRD": Mistake(_turned(_EYE, FRD), ("body",)),
-    "attitude of FLU in NED": Mistake(_turned(NED, _EYE), _HALF),
+    "body left FRD": Mistake(_rotated(_EYE, FRD), ("body",)),
+    "attitude of FLU in NED": Mistake(_rotated(NED, _EYE), _HALF),
     "z alone flipped": Mistake(_columns([0, 1, 2], [1.0, 1.0, -1.0], _NO_SIGNS), _HALF),
     "x and y alone swapped": Mistake(_columns([1, 0, 2], [1.0, 1.0, 1.0], _NO_SIGNS), _HALF),
     "NWU for ENU": Mistake(
-        _turned(FRD, FRD, positions=True), ("up_axis", "body", "up_axis_or_mirrored")
+        _rotated(FRD, FRD, positions=True), ("up_axis", "body", "up_axis_or_mirrored")
     ),
     # In a plane, these are inverse rotations.
-    "attitude NWU": Mistake(_turned(FRD, FRD), (*_HALF, "transposed")),
+    "attitude NWU": Mistake(_rotated(FRD, FRD), (*_HALF, "transposed")),
     "wxyz and millimetres": Mistake(
         lambda pair: scaled("estimate", 1000.0)(w_first("estimate")(pair)),
         ("wxyz", "unit"),

@@ -154,19 +154,19 @@ def draws_of(
     return result
 
 
-def row_of(name: str, found: list[Draw]) -> str:
+def row_of(name: str, detected: list[Draw]) -> str:
     """Return one line of the table."""
     true, here, naive, own = (
-        np.array([getattr(item, field) for item in found])
+        np.array([getattr(item, field) for item in detected])
         for field in ("true_m", "true_here_m", "naive_m", "own_m")
     )
-    low, high = np.array([item.interval_m for item in found]).T
+    low, high = np.array([item.interval_m for item in detected]).T
     quantiles = np.percentile(own / true, [50, 5, 95])
     return (
         f"| {name} | {np.median(true):.3g} m | {np.median(naive / true):.3g} | "
         f"{quantiles[0]:.3f} [{quantiles[1]:.2f}, {quantiles[2]:.2f}] | "
         f"{np.mean((low <= here) & (here <= high)):.2f} | {np.mean(here <= high):.2f} | "
-        f"{np.mean([item.resolved for item in found]):.2f} |"
+        f"{np.mean([item.resolved for item in detected]):.2f} |"
     )
 
 

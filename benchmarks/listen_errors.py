@@ -2,8 +2,8 @@
 
 listen_errors.py SECONDS NAME ...
 
-It begins with the first error of every estimate. The age of a stamped error is its reception minus
-the timestamp of the estimate. The age of the ATE is the time from one to the next.
+It begins with the first error of every estimate. The age of a stamped error is its receive time
+minus the timestamp of the estimate. The age of the ATE is the time from one to the next.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ class Difference:
     options: str
     error: str
     statistic: str
-    ours: float
+    computed: float
     evos: float
     share: float
 
@@ -86,7 +86,7 @@ class Difference:
         return (
             f"{self.pair}, {program_of(self.options)} {self.options} -r {self.error}, "
             f"{self.statistic}: "
-            f"{self.ours!r} here, {self.evos!r} by evo, {self.share:.2g} of the tolerance"
+            f"{self.computed!r} here, {self.evos!r} by evo, {self.share:.2g} of the tolerance"
         )
 
 
@@ -117,7 +117,7 @@ class Programs:
                 errors = np.load(io.BytesIO(result.read("error_array.npy")))
         return {**numbers, "count": len(errors)}
 
-    def ours(self, files: Mapping[str, str], options: str) -> dict[str, Any] | str:
+    def computed(self, files: Mapping[str, str], options: str) -> dict[str, Any] | str:
         """Return our errors by metric, or what we say where we refuse."""
         groundtruth, estimate = self._paths(files)
         given = CALLS[options][0]
@@ -168,18 +168,18 @@ def tolerance(pair: str, options: str, error: str, value: float) -> float:
 
 
 def compare(
-    pair: str, column: tuple[str, str], ours: dict[str, Any] | str, evos: Numbers | str
+    pair: str, column: tuple[str, str], computed: dict[str, Any] | str, evos: Numbers | str
 ) -> Difference | str:
     """Return the worst difference, or why there is none to tell."""
     options, error = column
-    if isinstance(evos, str) and isinstance(ours, dict) and ours[OURS[error]] is None:
+    if isinstance(evos, str) and isinstance(computed, dict) and computed[OURS[error]] is None:
         return BOTH_REFUSE  # no two states are so far apart
-    if isinstance(ours, str) or isinstance(evos, str):
-        if isinstance(ours, str) and isinstance(evos, str):
+    if isinstance(computed, str) or isinstance(evos, str):
+        if isinstance(computed, str) and isinstance(evos, str):
             return BOTH_REFUSE
-        refused = ours if isinstance(ours, str) else str(evos)
+        refused = computed if isinstance(computed, str) else str(evos)
         return f"{ONE_REFUSES}: {refused}"
-    mine = ours[OURS[error]]
+    mine = computed[OURS[error]]
     if mine is None:
         return WITHHELD
     if mine["count"] != evos["count"]:
@@ -203,19 +203,19 @@ def compare_pair(
     """Run both programs with all options on one pair."""
     result: dict[tuple[str, str], Difference | str] = {}
     for options, (_, errors) in CALLS.items():
-        actual = programs.ours(files, options)
+        actual = programs.computed(files, options)
         for error in errors:
             evos = programs.evo(files, options, error)
             result[options, error] = compare(pair, (options, error), actual, evos)
     return result
 
 
-def cell(found: Difference | str) -> str:
+def cell(outcome: Difference | str) -> str:
     """Return the difference, with a mark where it is more than the tolerance."""
-    if isinstance(found, str):
-        return NOT_COMPARED[found.partition(":")[0]]
-    mark = " " if found.share <= 1.0 else "!"
-    return f"{abs(found.ours - found.evos):.1e}{mark}"
+    if isinstance(outcome, str):
+        return NOT_COMPARED[outcome.partition(":")[0]]
+    mark = " " if outcome.share <= 1.0 else "!"
+    return f"{abs(outcome.computed - outcome.evos):.1e}{mark}"
 
 
 def report(

@@ -126,9 +126,9 @@ def interleave(jobs: Mapping[str, Job], runs: int, env: Environment) -> dict[str
     return {name: median_cost(cost) for name, cost in costs.items()}
 
 
-def check_agreement(ours: Cost, evos: Cost) -> None:
+def check_agreement(computed: Cost, evos: Cost) -> None:
     """Make sure that both computed the same: a fast wrong answer is worth nothing."""
-    ate = json.loads(ours.output)["runs"][0]["ate"]
+    ate = json.loads(computed.output)["runs"][0]["ate"]
     our_rmse = [ate["position_m"]["rmse"], ate["rotation_deg"]["rmse"]]
     evo_rmse = [float(item) for item in re.findall(r"^\s*rmse\s+(\S+)", evos.output, re.MULTILINE)]
     same = len(evo_rmse) == len(our_rmse) and all(
@@ -331,7 +331,7 @@ def estimator_part(
     command = [str(options.oracles), "-m", "benchmarks.estimators", str(options.runs)]
     result = json.loads(run(command, {**env, "OPENBLAS_NUM_THREADS": "1"}).output)
     table = Table("keyframes", "visibility", box=box.SIMPLE_HEAD, title="CPU ms per iteration")
-    for heading in ("observations", "ours", "GTSAM", "x"):
+    for heading in ("observations", "computed", "GTSAM", "x"):
         table.add_column(heading, justify="right")
     for row in result["rows"]:
         table.add_row(

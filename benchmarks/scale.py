@@ -127,10 +127,10 @@ def exponent(sizes: list[int], values: list[float]) -> float:
     return math.log(values[-1] / values[0]) / math.log(sizes[-1] / sizes[0])
 
 
-def report_on(found: dict[int, dict[str, dict[str, float]]]) -> None:
+def report_on(outcome: dict[int, dict[str, dict[str, float]]]) -> None:
     """Print exponents, what a million runs would take, and goals beside figures."""
-    sizes = sorted(found)
-    least, most = found[sizes[0]], found[sizes[-1]]
+    sizes = sorted(outcome)
+    least, most = outcome[sizes[0]], outcome[sizes[-1]]
     ratio = most[POOL]["peak_mib"] / least[POOL]["peak_mib"]
     overhead = 1e3 * (
         most[POOL]["cpu_s"] + most[POOL]["workers_cpu_s"] - most[LOOP]["cpu_s"]
@@ -150,7 +150,7 @@ def report_on(found: dict[int, dict[str, dict[str, float]]]) -> None:
             first = least[step][name]
             if name in ("files", "record_files") or first <= 0.0 or value <= 0.0:
                 continue
-            grows = exponent(sizes, [found[size][step][name] for size in sizes])
+            grows = exponent(sizes, [outcome[size][step][name] for size in sizes])
             then = value * (MILLION / sizes[-1]) ** max(grows, 0.0)
             print(f"{step:<18}{name:<18}{grows:>9.2f}{then:>18.4g}")
 

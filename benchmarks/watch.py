@@ -181,10 +181,10 @@ def _cell(delays_s: list[float | None]) -> str:
     return f"{share}, {np.median(hits):.1f} s" if hits else share
 
 
-def _health_row(name: str, found: list[Health]) -> list[str]:
-    hours, episodes = sum(item.hours for item in found), sum(item.episodes for item in found)
+def _health_row(name: str, outcome: list[Health]) -> list[str]:
+    hours, episodes = sum(item.hours for item in outcome), sum(item.episodes for item in outcome)
     largest: dict[str, float] = {}
-    for item in found:
+    for item in outcome:
         for signal, ratio in item.largest.items():
             largest[signal] = max(ratio, largest.get(signal, 0.0))
     worst = max(largest, key=lambda signal: largest[signal])

@@ -55,7 +55,7 @@ def _drive(speed: Floats, yaw: Floats) -> Floats:
     return path
 
 
-def _turned(rates: Floats) -> Floats:
+def _rotated(rates: Floats) -> Floats:
     return np.cumsum(rates, axis=0) * _DT
 
 
@@ -65,8 +65,8 @@ def hover(generator: np.random.Generator, times: Floats) -> tuple[Floats, Floats
     flies = np.clip(3.0 * smooth(generator, count, 25.0, 1.0), 0.0, 1.0)
     flies = filtered(np.where(times < 60.0, 1.0, flies), 1.5)
     speeds = smooth(generator, count, 3.0, 0.8, 3) * [1.0, 1.0, 0.4]
-    path = _turned(speeds * flies[:, None]) + smooth(generator, count, 1.2, 0.06, 3)
-    yaw = _turned(flies * smooth(generator, count, 2.0, 0.35))
+    path = _rotated(speeds * flies[:, None]) + smooth(generator, count, 1.2, 0.06, 3)
+    yaw = _rotated(flies * smooth(generator, count, 2.0, 0.35))
     tilt = smooth(generator, count, 0.3, 0.03, 2)
     return path, np.column_stack([yaw, tilt])
 
@@ -76,11 +76,11 @@ def drive_and_stand(generator: np.random.Generator, times: Floats) -> tuple[Floa
     count = len(times)
     drives = filtered(((times % 110.0 < 45.0) | (times < 50.0)).astype(float), 0.4)
     drives = np.where(drives < 0.01, 0.0, drives)
-    yaw = _turned(drives * smooth(generator, count, 1.5, 0.5))
+    yaw = _rotated(drives * smooth(generator, count, 1.5, 0.5))
     path = _drive(drives * (0.7 + smooth(generator, count, 2.0, 0.2)), yaw)
-    path[:, 2] += _turned(drives * smooth(generator, count, 2.0, 0.02))
+    path[:, 2] += _rotated(drives * smooth(generator, count, 2.0, 0.02))
     rates = drives[:, None] * smooth(generator, count, 0.5, 0.15, 2)
-    return path, np.column_stack([yaw, np.tanh(_turned(rates)) / 5.0])
+    return path, np.column_stack([yaw, np.tanh(_rotated(rates)) / 5.0])
 
 
 def _flight(
@@ -93,11 +93,11 @@ def _flight(
     yaw_radps: float,
 ) -> tuple[Floats, Floats]:
     """Return a multicopter that tilts by its acceleration."""
-    path = _turned(smooth(generator, count, correlation_s, speed_mps, 3) * [1.0, 1.0, 0.4])
+    path = _rotated(smooth(generator, count, correlation_s, speed_mps, 3) * [1.0, 1.0, 0.4])
     path = path - filtered(path, radius_s)
     force = np.gradient(np.gradient(path, _DT, axis=0), _DT, axis=0) + _GRAVITY
     tilt = np.stack([force[:, 0], -force[:, 1]], axis=1) / _GRAVITY[2]
-    yaw = _turned(smooth(generator, count, correlation_s / 2.0, yaw_radps))
+    yaw = _rotated(smooth(generator, count, correlation_s / 2.0, yaw_radps))
     return path, np.column_stack([yaw, filtered(np.clip(tilt, -1.0, 1.0), 0.05)])
 
 
@@ -121,7 +121,7 @@ def planar(generator: np.random.Generator, times: Floats) -> tuple[Floats, Float
     drives = np.clip(smooth(generator, count, 6.0, 1.0) + 0.6, 0.0, 1.0)
     drives = filtered(np.where(times < 45.0, np.maximum(drives, 0.7), drives), 0.3)
     spins = np.clip(smooth(generator, count, 5.0, 1.0) - 1.0, 0.0, 0.8)
-    yaw = _turned(filtered(drives * smooth(generator, count, 1.5, 0.45) + spins, 0.1))
+    yaw = _rotated(filtered(drives * smooth(generator, count, 1.5, 0.45) + spins, 0.1))
     speed = drives * (0.8 + smooth(generator, count, 2.0, 0.2))
     path = _drive(filtered(speed * (spins < 0.1), 0.2), yaw)
     shakes = smooth(generator, count, 0.1, 0.002, 2) * (drives > 0.05)[:, None]
@@ -131,7 +131,7 @@ def planar(generator: np.random.Generator, times: Floats) -> tuple[Floats, Float
 def walk(generator: np.random.Generator, times: Floats) -> tuple[Floats, Floats]:
     """Return a walk with a handheld sensor."""
     count = len(times)
-    yaw = _turned(smooth(generator, count, 1.0, 0.5))
+    yaw = _rotated(smooth(generator, count, 1.0, 0.5))
     step = 2.0 * np.pi * 1.9 * times + smooth(generator, count, 3.0, 0.5)
     path = _drive(0.9 + smooth(generator, count, 3.0, 0.3), yaw)
     path += np.stack([np.sin(step), 2.0 * np.sin(step / 2.0), 3.0 * np.sin(step)], axis=1) * 0.01
@@ -146,17 +146,17 @@ def fast(generator: np.random.Generator, times: Floats) -> tuple[Floats, Floats]
     count = len(times)
     speed = filtered(np.clip(4.0 + smooth(generator, count, 4.0, 0.8), 3.0, 5.0), 0.3)
     rate = smooth(generator, count, 2.0, 0.3)
-    path = _drive(speed, _turned(rate))
-    path[:, 2] += _turned(smooth(generator, count, 3.0, 0.1))
+    path = _drive(speed, _rotated(rate))
+    path[:, 2] += _rotated(smooth(generator, count, 3.0, 0.1))
     tilt = smooth(generator, count, 0.3, 0.015, 2)
     tilt[:, 1] += 0.01 * rate * speed
-    return path, np.column_stack([_turned(rate), tilt])
+    return path, np.column_stack([_rotated(rate), tilt])
 
 
 def one_axis(generator: np.random.Generator, times: Floats) -> tuple[Floats, Floats]:
     """Return a crane: motion in a vertical plane, and pitch alone."""
     count = len(times)
-    path = _turned(smooth(generator, count, 2.0, 0.7, 3) * [1.0, 0.0, 0.6])
+    path = _rotated(smooth(generator, count, 2.0, 0.7, 3) * [1.0, 0.0, 0.6])
     pitch = smooth(generator, count, 1.0, 0.3)
     return path - filtered(path, 20.0), np.stack([0.0 * times, pitch, 0.0 * times], axis=1)
 
@@ -164,7 +164,7 @@ def one_axis(generator: np.random.Generator, times: Floats) -> tuple[Floats, Flo
 def boat(generator: np.random.Generator, times: Floats) -> tuple[Floats, Floats]:
     """Return a boat that rolls and pitches in waves."""
     count = len(times)
-    yaw = _turned(smooth(generator, count, 4.0, 0.12))
+    yaw = _rotated(smooth(generator, count, 4.0, 0.12))
     path = _drive(1.2 + smooth(generator, count, 8.0, 0.4), yaw)
     path[:, 2] += smooth(generator, count, 1.2, 0.15)
     tilt = smooth(generator, count, 1.0, 0.09, 2)

@@ -17,7 +17,7 @@ TRUTH = FLIGHT.groundtruth
 
 
 def write(path: Path, side: Trajectory, latency_s: float, noise_m: float) -> None:
-    """Write poses with a column of receptions, under a rotation and with white noise."""
+    """Write poses with a column of receive times, under a rotation and with white noise."""
     random = np.random.default_rng(1)
     assert side.quaternions is not None
     positions = side.positions + random.normal(0.0, noise_m, (len(side), 3))

@@ -230,7 +230,7 @@ def test_a_folder_of_no_convention_is_told_what_to_write(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "printed"),
     [
         ("groundtruht: a", "did you mean groundtruth?"),
         ("modalty: mono", "did you mean modality?"),
@@ -259,7 +259,7 @@ def test_a_folder_of_no_convention_is_told_what_to_write(tmp_path: Path) -> None
         ("- a", "is not valid YAML"),
     ],
 )
-def test_mistakes_are_told_in_one_sentence(tmp_path: Path, wrong: str, said: str) -> None:
+def test_mistakes_are_told_in_one_sentence(tmp_path: Path, wrong: str, printed: str) -> None:
     config = write_runs(tmp_path)
     key = wrong.split(":")[0]
     lines = config.read_text().splitlines()
@@ -267,7 +267,7 @@ def test_mistakes_are_told_in_one_sentence(tmp_path: Path, wrong: str, said: str
         lines = lines[:1]
     kept = [line for line in lines if not line.startswith(f"{key}:")]
     message = refused(config, "\n".join([*kept, wrong]))
-    assert said in message
+    assert printed in message
     assert "\n" not in message
 
 
@@ -303,7 +303,7 @@ def test_a_file_makes_this_machine_ask_no_host_that_its_user_does_not_name(
     monkeypatch.setattr(core, "url_to_fs", ask)
     config = tmp_path / "runs.yaml"
 
-    def said(url: str, *allowed: str) -> str:
+    def printed(url: str, *allowed: str) -> str:
         config.write_text(f"groundtruth: '{url}'\nruns: {{vio: '{{sequence}}.txt'}}\n")
         with pytest.raises(TrajevalError) as error:
             plan_of(config, {}, allow_remote=allowed)
@@ -311,7 +311,7 @@ def test_a_file_makes_this_machine_ask_no_host_that_its_user_does_not_name(
 
     url = "https://host.net/x/{sequence}.txt"
     trust = "; if you trust the file, add --allow-remote "
-    assert said(url) == f"{config} has the remote URL {url}{trust}https://host.net"
+    assert printed(url) == f"{config} has the remote URL {url}{trust}https://host.net"
     for other in (
         "https://host.net.evil.org/{sequence}.txt",
         "https://{sequence}.host.net/{sequence}.txt",
@@ -322,17 +322,19 @@ def test_a_file_makes_this_machine_ask_no_host_that_its_user_does_not_name(
         "s3://host.net/{sequence}.txt",
         "github://me:it@main/{sequence}.txt",
     ):
-        assert trust in said(other, "https://host.net")
+        assert trust in printed(other, "https://host.net")
     chain = "zip://{sequence}.txt::https://evil.org/x.zip"
-    assert "is a chain of URLs" in said(chain, "https://host.net")
-    assert "is a chain of URLs" in said(chain.replace("zip", "file"))
-    assert "has no host" in said("https:///{sequence}.txt", "https://host.net")
-    assert "has a user name or password" in said("https://host.net@evil.org/x", "https://host.net")
+    assert "is a chain of URLs" in printed(chain, "https://host.net")
+    assert "is a chain of URLs" in printed(chain.replace("zip", "file"))
+    assert "has no host" in printed("https:///{sequence}.txt", "https://host.net")
+    assert "has a user name or password" in printed(
+        "https://host.net@evil.org/x", "https://host.net"
+    )
     assert not asked
     for host in ("https://host.net", "https://host.net/", "HTTPS://host.net"):
-        assert "can't be read: nobody is asked" in said(url, "s3://bucket", host)
+        assert "can't be read: nobody is asked" in printed(url, "s3://bucket", host)
     assert asked == [url] * 3
-    assert "can't be read" in said("HTTPS://host.net/{sequence}.txt", "https://host.net")
+    assert "can't be read" in printed("HTTPS://host.net/{sequence}.txt", "https://host.net")
 
 
 @pytest.mark.parametrize("text", ["s3", "s3://", "bucket/x", "s3://bucket/x", "://x"])

@@ -43,7 +43,7 @@ def test_gates_are_read_and_written(text: str, gate: Gate) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         *((name, "is not valid; write it") for name in (
             "", "ate.position_m.rmse < 3", "a worse than", "a worse than 5",
@@ -54,8 +54,8 @@ def test_gates_are_read_and_written(text: str, gate: Gate) -> None:
         ("association.x worse than 100 %", "below 100 %"),
     ],
 )  # fmt: skip
-def test_other_words_are_refused(text: str, said: str) -> None:
-    with pytest.raises(SettingsError, match=said):
+def test_other_words_are_refused(text: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
         Gate.parse(text)
 
 
@@ -242,7 +242,7 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--fail-if", GATE], "give both"),
         (["--baseline", "OLD"], "give both"),
@@ -270,7 +270,7 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
 )
 def test_what_can_not_be_judged_is_refused_before_any_work(
     arguments: list[str],
-    said: str,
+    message: str,
     yesterday: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -281,7 +281,7 @@ def test_what_can_not_be_judged_is_refused_before_any_work(
     out = tmp_path / "out"
     assert main(["compare", str(yesterday / "runs.yaml"), "--output", str(out), *given]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
+    assert message in line
     assert not out.exists()
 
 

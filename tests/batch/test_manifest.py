@@ -117,7 +117,7 @@ def test_a_configuration_names_a_manifest_and_has_the_settings(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "printed"),
     [
         ("manifest: runs.csv\nruns: {vio: x}", "manifest and runs exclude each other"),
         ("manifest: runs.csv\ntrials: [0]", "manifest and trials exclude each other"),
@@ -130,17 +130,17 @@ def test_a_configuration_names_a_manifest_and_has_the_settings(tmp_path: Path) -
         ),
     ],
 )
-def test_what_a_configuration_gets_wrong_is_told(tmp_path: Path, text: str, said: str) -> None:
+def test_what_a_configuration_gets_wrong_is_told(tmp_path: Path, text: str, printed: str) -> None:
     config = tmp_path / "c.yaml"
     config.write_text(text)
-    assert said in refused(config)
+    assert printed in refused(config)
 
 
 ONE = "vio,hall,0,t.txt,e.txt"
 
 
 @pytest.mark.parametrize(
-    ("lines", "said"),
+    ("lines", "printed"),
     [
         ([], " is empty; write a header line algorithm,sequence,trial,groundtruth,estimate and"),
         ([",".join(HEADER)], " lists no runs; write a header line"),
@@ -169,14 +169,14 @@ ONE = "vio,hall,0,t.txt,e.txt"
     ],
 )  # fmt: skip
 def test_what_a_manifest_gets_wrong_is_told_in_one_sentence(
-    tmp_path: Path, lines: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, lines: list[str], printed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "runs.csv"
     path.write_text("\n".join(lines))
     out = tmp_path / "out"
     assert compare(path, output=out) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
+    assert printed in line
     assert "secret" not in line
     assert not out.exists()
 

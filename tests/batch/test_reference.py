@@ -62,12 +62,12 @@ def rows_by_run(folder: Path) -> dict[str, list[dict[str, Any]]]:
     return result
 
 
-def settings_of(**said: str) -> dict[str, Any]:
+def settings_of(**message: str) -> dict[str, Any]:
     names = (
         "gauge", "modality", "align_states", "association", "max_time_difference", "max_gap",
         "time_offset", "lengths", "ate_form", "re_form",
     )  # fmt: skip
-    return {**dict.fromkeys(names), **said}
+    return {**dict.fromkeys(names), **message}
 
 
 def test_every_number_is_that_of_a_single_evaluation(
@@ -172,11 +172,11 @@ def assert_relative(
 
 
 def assert_statistics(
-    ours: dict[str, Any], theirs: dict[str, float], relative: float, absolute: float
+    computed: dict[str, Any], theirs: dict[str, float], relative: float, absolute: float
 ) -> None:
-    assert ours["count"] == theirs["num_samples"]
+    assert computed["count"] == theirs["num_samples"]
     for name in ("rmse", "mean", "median", "std", "min", "max"):
-        assert ours[name] == pytest.approx(theirs[name], rel=relative, abs=absolute), name
+        assert computed[name] == pytest.approx(theirs[name], rel=relative, abs=absolute), name
 
 
 def test_pooled_errors_are_those_of_all_trials_together(

@@ -43,10 +43,10 @@ def test_rows_are_filtered_by_texts_and_by_missing_values(tmp_path: Path) -> Non
     write_table(tmp_path / "t", rows, "t", {"gauge": "se3", "protocol": "default"}, "state")
     table = ResultsTable(tmp_path / "t")
 
-    def found(*allowed: str | None) -> str:
+    def outcome(*allowed: str | None) -> str:
         return "".join(row["algorithm"] for row in table.rows(["algorithm"], length=allowed))
 
-    assert [found("8m"), found(None), found(""), found("4m", None), found()] == [
+    assert [outcome("8m"), outcome(None), outcome(""), outcome("4m", None), outcome()] == [
         "0", "1", "2", "13", "",
     ]  # fmt: skip
     assert table.select(["algorithm"], length="4m") == [{"algorithm": "3"}]

@@ -185,7 +185,7 @@ def test_numbers_that_are_printed_alike_share_a_rank() -> None:
 
 
 @pytest.mark.parametrize(
-    ("time_offset", "hand_eye", "said"),
+    ("time_offset", "hand_eye", "message"),
     [
         ("0", "none", "gaps up to 0.5 s."),
         ("auto", "none", "and applied if statistically significant: clock offset."),
@@ -194,7 +194,7 @@ def test_numbers_that_are_printed_alike_share_a_rank() -> None:
     ],
 )
 def test_a_caption_names_the_applied_calibration(
-    time_offset: str, hand_eye: Any, said: str
+    time_offset: str, hand_eye: Any, message: str
 ) -> None:
     settings = {
         "modality": None,
@@ -209,7 +209,7 @@ def test_a_caption_names_the_applied_calibration(
         "protocol": "default",
     }
     text = definition({**settings, "time_offset": time_offset, "hand_eye": hand_eye})
-    assert text.endswith(said)
+    assert text.endswith(message)
 
 
 def test_numbers_of_a_table_have_one_number_of_decimals() -> None:

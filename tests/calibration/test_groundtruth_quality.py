@@ -22,9 +22,9 @@ FAULTS: dict[str, Any] = {
 CALIBRATION = ("body_rotation", "lever_arm", "clock_offset", "clock_skew", "tilted")
 
 
-def fits_of(found: ExaminedGroundtruth) -> Fits:
-    assert found.fits is not None
-    return found.fits
+def fits_of(outcome: ExaminedGroundtruth) -> Fits:
+    assert outcome.fits is not None
+    return outcome.fits
 
 
 def examined(made: ExaminedRig, **more: Any) -> ExaminedGroundtruth:
@@ -35,8 +35,8 @@ def positions_of(made: ExaminedRig) -> Trajectory:
     return dataclasses.replace(made.groundtruth, quaternions=None)
 
 
-def verdicts(found: ExaminedGroundtruth) -> dict[str, str]:
-    return {name: found.causes[name].verdict for name in CALIBRATION}
+def verdicts(outcome: ExaminedGroundtruth) -> dict[str, str]:
+    return {name: outcome.causes[name].verdict for name in CALIBRATION}
 
 
 @pytest.fixture(scope="module")
@@ -425,7 +425,7 @@ def test_poses_alone() -> None:
 def test_positions_of_real_recordings_agree_with_their_references(name: str) -> None:
     truth, readings = real(name)
     result = examine(dataclasses.replace(truth, quaternions=None), readings)
-    external = reference(Path("groundtruth_quality.json"))["external"].get(name, {})
+    external = reference(Path("groundtruth_doctor.json"))["external"].get(name, {})
     for cause, key in (("lever_arm", "lever_mm"), ("clock_offset", "offset_ms")):
         known = np.zeros(3) if cause == "lever_arm" else np.zeros(1)
         half_width = result.causes[cause].half_width
@@ -441,7 +441,7 @@ def test_positions_of_real_recordings_agree_with_their_references(name: str) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["V1_01_original", "V1_01_corrected", "mocap2gt", "MH_05"])
 def test_real_recordings_give_the_reference(name: str) -> None:
-    stored = reference(Path("groundtruth_quality.json"))
+    stored = reference(Path("groundtruth_doctor.json"))
     expected, external = stored["real"][name], stored["external"]
     truth, readings = real(name)
     result = examine(truth, readings)

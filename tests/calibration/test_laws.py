@@ -33,10 +33,10 @@ def sigmas(calibration: Calibration) -> list[np.ndarray]:
     return [sigma for sigma in result if sigma is not None]
 
 
-def assert_same(ours: Calibration, theirs: Calibration, tolerance: float = 1e-6) -> None:
-    for mine, other in zip(values(ours), values(theirs), strict=True):
+def assert_same(computed: Calibration, theirs: Calibration, tolerance: float = 1e-6) -> None:
+    for mine, other in zip(values(computed), values(theirs), strict=True):
         assert np.allclose(mine, other, rtol=0.0, atol=tolerance)
-    for mine, other in zip(sigmas(ours), sigmas(theirs), strict=True):
+    for mine, other in zip(sigmas(computed), sigmas(theirs), strict=True):
         assert np.allclose(mine, other, rtol=1e-3, atol=tolerance)
 
 

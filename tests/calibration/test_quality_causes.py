@@ -46,7 +46,7 @@ def verdict(name: str, causes: list[GroundtruthCause]) -> tuple[bool, float | No
 
 
 @pytest.mark.parametrize(
-    ("name", "below", "above", "said"),
+    ("name", "below", "above", "message"),
     [
         ("missing", {"missing_share": 0.00999}, {"missing_share": 0.0101}, "1.0 % of the poses"),
         ("held", {"held_share": 0.0199}, {"held_share": 0.0201}, "2.0 % of the poses in motion"),
@@ -72,16 +72,16 @@ def verdict(name: str, causes: list[GroundtruthCause]) -> tuple[bool, float | No
     ],
 )
 def test_limits_of_faults_of_poses(
-    name: str, below: dict[str, Any], above: dict[str, Any], said: str
+    name: str, below: dict[str, Any], above: dict[str, Any], message: str
 ) -> None:
     for changed, result in ((below, False), (above, True)):
         is_found, _, sentence = verdict(name, sample_causes(checks(**changed), None, 2 * 10**9))
         assert is_found == result
-        assert (said in sentence) == result
+        assert (message in sentence) == result
 
 
 @pytest.mark.parametrize(
-    ("name", "below", "above", "said"),
+    ("name", "below", "above", "message"),
     [
         (
             "jitter",
@@ -111,7 +111,7 @@ def test_limits_of_faults_of_poses(
     ],
 )
 def test_limits_of_faults_of_residuals(
-    name: str, below: dict[str, Any], above: dict[str, Any], said: str
+    name: str, below: dict[str, Any], above: dict[str, Any], message: str
 ) -> None:
     given: dict[str, Any] = {
         "jitter_s": 0.0, "jitter_sigmas": 10.0, "outlier_share": 0.0, "jumps": (),
@@ -122,7 +122,7 @@ def test_limits_of_faults_of_residuals(
         causes = sample_causes(checks(), residuals, 2 * 10**9)
         is_found, _, sentence = verdict(name, causes)
         assert is_found == result
-        assert (said in sentence) == result
+        assert (message in sentence) == result
 
 
 def parameter_cause(

@@ -37,7 +37,7 @@ MADE = rig(6, duration_s=24.0, turn_deg=(3.0, -2.0, 1.5), lever_m=(0.05, -0.03, 
 
 
 @pytest.fixture(scope="module")
-def found() -> ExaminedGroundtruth:
+def outcome() -> ExaminedGroundtruth:
     return examine(MADE.groundtruth, MADE.readings)
 
 
@@ -49,33 +49,33 @@ def floors_along_force() -> Array:
     return floors
 
 
-def test_causes_are_those_of_the_short_fit(found: ExaminedGroundtruth) -> None:
-    assert found.fits is not None
-    assert not found.fits.disagree
-    brief = found.fits.short
+def test_causes_are_those_of_the_short_fit(outcome: ExaminedGroundtruth) -> None:
+    assert outcome.fits is not None
+    assert not outcome.fits.disagree
+    brief = outcome.fits.short
     sigmas = np.hypot(brief.sigmas, floors_along_force())
     for name, parameter in PARAMETERS.items():
         value, sigma = brief.values[parameter.columns], sigmas[parameter.columns]
-        cause = found.causes[name]
+        cause = outcome.causes[name]
         size = float(np.linalg.norm(value))
         assert cause.value == pytest.approx(size, rel=1e-12)
         along = np.linalg.norm(value * sigma) / size
         assert cause.standard_deviation == pytest.approx(along, rel=1e-9)
         np.testing.assert_array_equal(cause.components, value)
-    fused = abs(np.linalg.norm(found.fits.long.values[:3]) - np.linalg.norm(brief.values[:3]))
-    assert found.causes["fused"].value == pytest.approx(fused)
+    fused = abs(np.linalg.norm(outcome.fits.long.values[:3]) - np.linalg.norm(brief.values[:3]))
+    assert outcome.causes["fused"].value == pytest.approx(fused)
     in_metres = np.square(sigmas[:6] / UNITS[:6])
-    covariance = found.fits.hand_eye_covariance
+    covariance = outcome.fits.hand_eye_covariance
     np.testing.assert_allclose(np.diag(covariance)[:3], in_metres[3:], rtol=1e-9)
-    body = found.fits.rig.body
+    body = outcome.fits.rig.body
     expected = body @ np.diag(in_metres[:3]) @ body.T
     np.testing.assert_allclose(covariance[3:, 3:], expected, rtol=1e-9, atol=1e-15)
     assert not covariance[:3, 3:].any()
 
 
-def test_what_is_repaired_is_what_is_found(found: ExaminedGroundtruth) -> None:
-    assert found.fits is not None
-    fits, values = found.fits, found.fits.short.values
+def test_what_is_repaired_is_what_is_found(outcome: ExaminedGroundtruth) -> None:
+    assert outcome.fits is not None
+    fits, values = outcome.fits, outcome.fits.short.values
     assert fits.rig.offset_s == pytest.approx(values[6] / 1e3, abs=2e-4)
     assert fits.rig.skew == pytest.approx(values[7] / 1e6, abs=2e-5)
     np.testing.assert_allclose(fits.hand_eye.lever_m, fits.rig.lever)

@@ -54,15 +54,15 @@ def flown(seed: int) -> tuple[Fault, Trajectory, Trajectory]:
     return fault, *fly(seed, random.uniform(60.0, 120.0), fault=fault, drift=drift)
 
 
-def misses(found: Calibration, fault: Fault) -> tuple[float, np.ndarray, np.ndarray]:
-    assert found.offset.value is not None
-    assert found.turn.value is not None
-    assert found.lever.value is not None
+def misses(outcome: Calibration, fault: Fault) -> tuple[float, np.ndarray, np.ndarray]:
+    assert outcome.offset.value is not None
+    assert outcome.turn.value is not None
+    assert outcome.lever.value is not None
     # The perturbation that the covariance is of: on the left of the rotation.
     true = Rotation.from_rotvec(fault.rotation_vector)
-    rotated = (Rotation.from_rotvec(found.turn.value) * true.inv()).as_rotvec()
-    offset = float(found.offset.value[0]) - fault.offset_s
-    return offset, rotated, found.lever.value - np.asarray(fault.lever_m)
+    rotated = (Rotation.from_rotvec(outcome.turn.value) * true.inv()).as_rotvec()
+    offset = float(outcome.offset.value[0]) - fault.offset_s
+    return offset, rotated, outcome.lever.value - np.asarray(fault.lever_m)
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from trajeval_ros.calibration.observability import Directions
 from trajeval_ros.calibration.significance import judge
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 
 FAULT = Fault(0.3, 0.0, (0.0, 0.0, 0.0), (0.1, 0.05, 0.2))

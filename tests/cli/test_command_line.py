@@ -66,7 +66,7 @@ def test_sources_by_position_are_those_by_name(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["a", "b", "-e", "c"], "sources are given twice"),
         (["a", "-g", "b"], "sources are given twice"),
@@ -77,11 +77,11 @@ def test_sources_by_position_are_those_by_name(
     ],
 )
 def test_sources_named_twice_or_not_at_all_are_refused(
-    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["evaluate", *arguments]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
 
 
@@ -103,7 +103,7 @@ def test_texts_come_through_pipes(pair: tuple[Path, Path]) -> None:
 
 @needs_bash
 @pytest.mark.parametrize(
-    ("command", "said"),
+    ("command", "message"),
     [
         ("cat {} | trajeval evaluate - -", "a pipe can be read only once"),
         ("trajeval info -", "/dev/stdin is a device"),
@@ -113,11 +113,11 @@ def test_texts_come_through_pipes(pair: tuple[Path, Path]) -> None:
     ],
 )
 def test_what_cannot_be_read_from_a_pipe_is_told(
-    command: str, said: str, pair: tuple[Path, Path]
+    command: str, message: str, pair: tuple[Path, Path]
 ) -> None:
     done = shell(command.replace("{}", str(pair[0])))
     assert done.returncode == 2
-    assert said in done.stderr
+    assert message in done.stderr
     assert done.stderr.count("\n") == 1
 
 

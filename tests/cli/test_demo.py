@@ -141,9 +141,9 @@ def demo(folder: str, where: Path, environment: dict[str, str]) -> str:
     return done.stdout
 
 
-def last_words(said: str) -> dict[str, str]:
+def last_words(message: str) -> dict[str, str]:
     """Return the last lines by what they are about."""
-    lines = said[said.index("--- Results") :].splitlines()[1:]
+    lines = message[message.index("--- Results") :].splitlines()[1:]
     words = dict(line.split(":", 1) for line in lines[:3])
     words["next"] = lines[-1]
     assert lines[-2].startswith("next, ")

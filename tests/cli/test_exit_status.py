@@ -23,7 +23,7 @@ def raising(error: BaseException, cause: BaseException | None = None) -> Callabl
 
 
 @pytest.mark.parametrize(
-    ("work", "status", "said"),
+    ("work", "status", "message"),
     [
         (lambda: None, 0, ""),
         (lambda: 0, 0, ""),
@@ -40,10 +40,10 @@ def raising(error: BaseException, cause: BaseException | None = None) -> Callabl
     ],
 )
 def test_status_and_message(
-    work: Callable[[], int | None], status: int, said: str, capsys: pytest.CaptureFixture[str]
+    work: Callable[[], int | None], status: int, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert exit_status(work) == status
-    assert capsys.readouterr() == ("", said)
+    assert capsys.readouterr() == ("", message)
 
 
 @pytest.mark.parametrize("option", ["--json", "--hand-eye", "--protocol", "--gauge", "--require"])

@@ -106,7 +106,7 @@ def test_a_scale_is_a_number_above_zero(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "printed"),
     [
         (["--synchronise"], "give --reference"),
         (["--gauge", "se3"], "give --reference"),
@@ -121,11 +121,11 @@ def test_a_scale_is_a_number_above_zero(
     ],
 )
 def test_mistakes_are_told_in_a_sentence(
-    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], printed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["trajectory", EST, *arguments]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert printed in error
     assert error.count("\n") == 1
 
 

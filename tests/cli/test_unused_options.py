@@ -35,7 +35,7 @@ ONE = ["{}/vio_odometry.txt"]
 
 
 @pytest.mark.parametrize(
-    ("command", "said"),
+    ("command", "message"),
     [
         (["evaluate", *TUM, "--frame-rate", "10"], "--frame-rate is for text files without"),
         (["evaluate", *BAG, "--frame-rate", "10"], "--frame-rate is for text files without"),
@@ -92,7 +92,7 @@ ONE = ["{}/vio_odometry.txt"]
     ids=lambda item: " ".join(item).replace("{}/", "") if isinstance(item, list) else "",
 )  # fmt: skip
 def test_an_option_without_an_effect_is_refused(
-    folder: Path, command: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    folder: Path, command: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if command[0] == "compare":
         pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
@@ -103,14 +103,14 @@ def test_an_option_without_an_effect_is_refused(
     assert main(words) == 2
     shown = capsys.readouterr()
     (line,) = shown.err.splitlines()
-    assert said in line
+    assert message in line
     assert shown.out == ""
     (folder / "x.csv").unlink()
     assert sorted(folder.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
-    ("command", "said"),
+    ("command", "message"),
     [
         (
             ["evaluate", *TUM, "--datum", "47,8,400"],
@@ -130,10 +130,10 @@ def test_an_option_without_an_effect_is_refused(
     ],
 )
 def test_settings_that_these_data_do_not_need_are_named_in_a_warning(
-    folder: Path, command: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    folder: Path, command: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([item.format(folder) for item in command]) == 0
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

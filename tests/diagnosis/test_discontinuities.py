@@ -24,7 +24,7 @@ from trajeval_ros import (
 from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.metrics.discontinuities.handling import DiscontinuityRule
 from trajeval_ros.pipeline.outcome import RunOutcome
 
@@ -97,12 +97,12 @@ def held(
 
 
 def stepped(trajectory: Trajectory, seconds: float, *, received: bool = True) -> Trajectory:
-    """Return a trajectory whose clock steps at 30 s, perhaps with times of reception."""
+    """Return a trajectory whose clock steps at 30 s, perhaps with receive times."""
     stamps, reading = trajectory.stamps.copy(), trajectory.reading
     if received:
         delays = np.random.default_rng(1).exponential(3e6, len(stamps)).astype(np.int64)
         times = np.maximum.accumulate(stamps + delays)
-        reading = dataclasses.replace(reading, receptions=ReceiveTimes(times))
+        reading = dataclasses.replace(reading, receive_times=ReceiveTimes(times))
     stamps[rows(trajectory, 30.0)] += round(seconds * 1e9)
     return dataclasses.replace(trajectory, stamps=stamps, reading=reading)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from paths import SHARED
 from scipy.spatial.transform import Rotation
 
-from benchmarks.diagnosis import found
+from benchmarks.diagnosis import diagnosis_of
 from benchmarks.diagnosis_runs import Pair, simulated
 from trajeval_ros import evaluate, read_trajectory
 from trajeval_ros.geometry import lie
@@ -71,7 +71,7 @@ on_recordings = pytest.mark.parametrize(
 def causes(pair: Pair, **changes: Array) -> list[str]:
     """Return the causes of findings, without the step: the PX4 log has a reset of 0.8 m."""
     estimate: Trajectory = dataclasses.replace(pair.estimate, **changes)
-    findings = found(dataclasses.replace(pair, estimate=estimate)).findings
+    findings = diagnosis_of(dataclasses.replace(pair, estimate=estimate)).findings
     return [finding.cause for finding in findings if finding.cause != "step"]
 
 
@@ -123,7 +123,7 @@ def test_axes_are_named_as_in_the_file(sides: tuple[str, ...], up: UpAxis, named
     """KITTI's files, which are read with -y up, have z up if KISS-ICP writes them."""
     pair = simulated(5004, "car", "walk", 100.0)
     given = {side: dataclasses.replace(getattr(pair, side), up=up) for side in sides}
-    first = found(dataclasses.replace(pair, **given)).suggested
+    first = diagnosis_of(dataclasses.replace(pair, **given)).suggested
     assert first is not None
     assert named in first.text
     assert first.tried is not None
@@ -141,7 +141,7 @@ def small_angles() -> tuple[Trajectory, Array]:
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"),
+    ("factor", "message"),
     [
         (180.0 / np.pi, "degrees were probably read as radians"),
         (np.pi / 180.0, "radians were probably read as degrees"),
@@ -149,7 +149,7 @@ def small_angles() -> tuple[Trajectory, Array]:
         (1.0, None),
     ],
 )
-def test_small_angles_in_another_unit_are_named(factor: float, said: str | None) -> None:
+def test_small_angles_in_another_unit_are_named(factor: float, message: str | None) -> None:
     truth, angles = small_angles()
     noise = np.random.default_rng(7).normal(0.0, 0.01, truth.positions.shape)
     rotations = Rotation.from_euler("xyz", factor * angles).as_quat()
@@ -159,6 +159,6 @@ def test_small_angles_in_another_unit_are_named(factor: float, said: str | None)
         for warning in evaluate(truth, estimate).warnings
         if "the rotations agree" in warning
     ]
-    assert len(named) == (said is not None)
-    assert said is None or said in named[0]
+    assert len(named) == (message is not None)
+    assert message is None or message in named[0]
     assert factor or not any(unit in named[0] for unit in ("degrees", "radians", "times as large"))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks.diagnosis import corrected, found
+from benchmarks.diagnosis import corrected, diagnosis_of
 from benchmarks.diagnosis_discontinuities import DISCONTINUITIES
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES
@@ -40,18 +40,18 @@ def causes(diagnosis: Diagnosis) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ALL.keys() - UNSEEN_ON_DRONES))
 def test_a_mistake_is_named_on_a_drone(name: str) -> None:
-    assert causes(found(ALL[name].make(DRONE)))[0] in ALL[name].causes
+    assert causes(diagnosis_of(ALL[name].make(DRONE)))[0] in ALL[name].causes
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ALL.keys() - UNSEEN_ON_CARS))
 def test_a_mistake_is_named_on_a_car(name: str) -> None:
-    assert causes(found(ALL[name].make(CAR)))[0] in ALL[name].causes
+    assert causes(diagnosis_of(ALL[name].make(CAR)))[0] in ALL[name].causes
 
 
 @pytest.mark.parametrize("name", sorted(UNSEEN_ON_CARS))
 def test_what_a_car_can_not_show_is_a_tie_or_nothing(name: str) -> None:
-    diagnosis = found(ALL[name].make(CAR))
+    diagnosis = diagnosis_of(ALL[name].make(CAR))
     allowed = {*ALL[name].causes, "convention_tie", "small_clock_offset"}
     assert set(causes(diagnosis)) <= allowed
 
@@ -62,9 +62,9 @@ def test_what_a_car_can_not_show_is_a_tie_or_nothing(name: str) -> None:
 def test_drift_is_no_mistake(kind: str, drift: str, worse: float) -> None:
     seed = 77 + 10 * KINDS.index(kind) + DRIFTS.index(drift)
     pair = simulated(seed, kind, drift, 60.0, worse=worse)
-    assert not causes(found(pair))
+    assert not causes(diagnosis_of(pair))
     truth = dataclasses.replace(pair.truth, quaternions=None)
-    assert not causes(found(dataclasses.replace(pair, truth=truth)))
+    assert not causes(diagnosis_of(dataclasses.replace(pair, truth=truth)))
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_large_drift_that_looked_like_a_mistake(
 ) -> None:
     # A path twice as long as the groundtruth's is a divergence, and a turn at once stays.
     pair = simulated(seed, kind, drift, duration_s, worse=5.0)
-    assert set(causes(found(pair))) <= {"diverged", "flip_stays"}
+    assert set(causes(diagnosis_of(pair))) <= {"diverged", "flip_stays"}
 
 
 @pytest.mark.parametrize("lost", [False, True])
@@ -93,12 +93,14 @@ def test_large_drift_that_looked_like_a_mistake(
 @pytest.mark.parametrize("pair", [DRONE, CAR], ids=["drone", "car"])
 def test_outliers_are_no_restart(pair: Pair, longest: int, lost: bool) -> None:
     for seed in range(3):
-        assert set(causes(found(with_outliers(pair, seed, 1, longest, lost=lost)))) <= {"outlier"}
+        assert set(causes(diagnosis_of(with_outliers(pair, seed, 1, longest, lost=lost)))) <= {
+            "outlier"
+        }
 
 
 def test_outliers_do_not_hide_a_restart() -> None:
     restarted = MISTAKES["restart"].make(DRONE)
-    finding = found(with_outliers(restarted, 0, 1, 5, lost=False)).named("restart")
+    finding = diagnosis_of(with_outliers(restarted, 0, 1, 5, lost=False)).named("restart")
     assert finding is not None
     assert finding.evidence["end_s"] == pytest.approx(55.0, abs=0.2)
 
@@ -108,7 +110,7 @@ def test_a_restart_after_a_gap_is_found() -> None:
     row = int(0.55 * len(DRONE.estimate))
     kept = np.delete(np.arange(len(DRONE.estimate)), np.arange(row - 60, row))
     pair = dataclasses.replace(restarted, estimate=restarted.estimate[kept])
-    assert causes(found(pair)) == ["restart"]
+    assert causes(diagnosis_of(pair)) == ["restart"]
 
 
 @pytest.mark.parametrize("oriented", [True, False])
@@ -118,7 +120,7 @@ def test_a_jump_elsewhere_is_a_step_and_no_restart(oriented: bool) -> None:
     truth = DRONE.truth if oriented else dataclasses.replace(DRONE.truth, quaternions=None)
     estimate = dataclasses.replace(DRONE.estimate, positions=positions)
     pair = dataclasses.replace(DRONE, truth=truth, estimate=estimate)
-    assert causes(found(pair)) == ["step"]
+    assert causes(diagnosis_of(pair)) == ["step"]
 
 
 @pytest.mark.slow
@@ -126,13 +128,13 @@ def test_a_jump_elsewhere_is_a_step_and_no_restart(oriented: bool) -> None:
 @pytest.mark.parametrize("second", ["estimate in mm", "marker", "scale lost"])
 def test_after_the_graver_mistake_is_mended_the_other_is_named(first: str, second: str) -> None:
     wrong = MISTAKES[first].make(MISTAKES[second].make(DRONE))
-    graver = found(wrong).suggested
+    graver = diagnosis_of(wrong).suggested
     assert graver is not None
     assert graver.cause in MISTAKES[first].causes
     if not graver.correction:  # gauge sim3 withholds the rotation errors of this run
         assert (first, second) == ("wxyz, estimate", "scale lost")
         return
-    rest = found(corrected(wrong, dict(graver.correction))).suggested
+    rest = diagnosis_of(corrected(wrong, dict(graver.correction))).suggested
     assert rest is not None
     assert rest.cause in MISTAKES[second].causes
 
@@ -177,9 +179,9 @@ def thinned(step: int) -> Callable[[Pair], Pair]:
 @pytest.mark.parametrize("step", [10, 20])
 def test_sparse_estimates_are_told_by_the_same_names(step: int) -> None:
     sparse = thinned(step)
-    assert not causes(found(sparse(DRONE)))
+    assert not causes(diagnosis_of(sparse(DRONE)))
     for name in ("wxyz, estimate", "mirrored", "inverse, estimate", "marker"):
-        assert causes(found(sparse(MISTAKES[name].make(DRONE))))[:1] in (
+        assert causes(diagnosis_of(sparse(MISTAKES[name].make(DRONE))))[:1] in (
             [[cause] for cause in MISTAKES[name].causes] + [[]]
         )
 
@@ -187,7 +189,7 @@ def test_sparse_estimates_are_told_by_the_same_names(step: int) -> None:
 @pytest.mark.parametrize("name", ["wxyz, estimate", "mirrored", "inverse, estimate", "marker"])
 def test_three_seconds_are_no_ground_for_a_name(name: str) -> None:
     short = MISTAKES[name].make(DRONE).part(40.0, 3.0)
-    assert not causes(found(short))
+    assert not causes(diagnosis_of(short))
 
 
 def moved(trajectory: Trajectory) -> Trajectory:
@@ -198,4 +200,4 @@ def moved(trajectory: Trajectory) -> Trajectory:
 def test_another_run_is_told() -> None:
     other = simulated(5400, "drone", "walk", 100.0)
     stranger = dataclasses.replace(DRONE, truth=other.truth)
-    assert causes(found(stranger))[0] == "other_run"
+    assert causes(diagnosis_of(stranger))[0] == "other_run"

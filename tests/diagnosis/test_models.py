@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from paths import SHARED
 from scipy.spatial.transform import Rotation
 
-from benchmarks.diagnosis import found
+from benchmarks.diagnosis import diagnosis_of
 from benchmarks.diagnosis_mistakes import MISTAKES, inverse, shifted
 from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
@@ -191,7 +191,7 @@ def test_small_mistakes_are_stated_with_their_sizes(
     else:
         flat = estimate.positions * [1.0, 1.0, 0.0]
         estimate = dataclasses.replace(estimate, positions=flat)
-    first = found(dataclasses.replace(pair, estimate=estimate)).suggested
+    first = diagnosis_of(dataclasses.replace(pair, estimate=estimate)).suggested
     assert first is not None
     assert first.cause == cause
     assert size in first.sentence
@@ -205,7 +205,7 @@ def test_inverse_poses_are_named_on_their_side(side: str, of_camera: str) -> Non
     pair = recorded("MH_01")
     if of_camera:
         pair = with_body(pair, of_camera, CAMERA)
-    first = found(inverse(side)(pair)).suggested
+    first = diagnosis_of(inverse(side)(pair)).suggested
     assert first is not None
     assert first.cause == "inverse"
     owner = "groundtruth" if side == "truth" else "estimate"
@@ -214,7 +214,7 @@ def test_inverse_poses_are_named_on_their_side(side: str, of_camera: str) -> Non
 
 @pytest.mark.parametrize("mistake", ["compass heading", "roll and pitch swapped"])
 def test_angles_with_other_signs_are_no_other_axes_on_a_plane(mistake: str) -> None:
-    first = found(USERS[mistake].make(simulated(60415, "car", "walk", 100.0))).suggested
+    first = diagnosis_of(USERS[mistake].make(simulated(60415, "car", "walk", 100.0))).suggested
     assert first is not None
     assert first.cause == "rotations"
     assert "only with a correction" in first.sentence
@@ -223,7 +223,7 @@ def test_angles_with_other_signs_are_no_other_axes_on_a_plane(mistake: str) -> N
 def test_a_rate_is_searched_if_no_offset_is_clear() -> None:
     """The turns of a car match at -30 s."""
     pair = simulated(60416, "car", "heavy", 100.0)
-    first = found(USERS["30 fps for 25"].make(pair)).suggested
+    first = diagnosis_of(USERS["30 fps for 25"].make(pair)).suggested
     assert first is not None
     assert first.cause == "clock_drift"
 
@@ -231,20 +231,22 @@ def test_a_rate_is_searched_if_no_offset_is_clear() -> None:
 def test_copied_rows_are_no_other_run() -> None:
     """In the order of time, they look like another rate of the clock."""
     pair = simulated(91238, "drone", "heavy", 100.0)
-    causes = [finding.cause for finding in found(MISTAKES["duplicated"].make(pair)).findings]
+    causes = [
+        finding.cause for finding in diagnosis_of(MISTAKES["duplicated"].make(pair)).findings
+    ]
     assert causes == ["duplicated"]
 
 
 def test_an_offset_whose_correction_increases_the_error_is_no_cause() -> None:
     """With a drift that is equal to the effect of an offset, the correction adds the error."""
     pair = simulated(640, "car", "walk", 100.0)
-    for finding in found(shifted(0.1)(pair)).findings:
+    for finding in diagnosis_of(shifted(0.1)(pair)).findings:
         assert finding.tried is None or finding.tried.ratios[0] < 1.05
 
 
 @needs_data
 def test_wrong_pairs_do_not_look_like_a_flip() -> None:
     """The body seems to flip between poses of 18 s apart, which changes no rate of motion."""
-    finding = found(shifted(18.0)(recorded("MH_05"))).suggested
+    finding = diagnosis_of(shifted(18.0)(recorded("MH_05"))).suggested
     assert finding is not None
     assert finding.cause == "clock_offset"

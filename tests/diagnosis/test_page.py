@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from paths import ROOT
 
-from benchmarks.diagnosis import found
+from benchmarks.diagnosis import diagnosis_of
 from benchmarks.diagnosis_discontinuities import DISCONTINUITIES
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES
@@ -19,7 +19,7 @@ from benchmarks.diagnosis_users import USERS
 from trajeval_ros import Request, run
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 
 PAGE = ROOT / "docs" / "diagnosis.md"
 TEXT = PAGE.read_text("utf-8")
@@ -84,7 +84,7 @@ def printed(cause: str) -> str:
         one = dataclasses.replace(DRONE.estimate, reading=SourceInfo("vio.txt"))
         diagnosis = run(DRONE.truth, [one, one], Request(DRONE.protocol)).runs[1].diagnosis
     else:
-        diagnosis = found(shown(cause))
+        diagnosis = diagnosis_of(shown(cause))
     finding = diagnosis.named(cause)
     assert finding is not None, diagnosis.findings
     return finding.text

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.diagnosis import found
+from benchmarks.diagnosis import diagnosis_of
 from benchmarks.diagnosis_runs import Pair, simulated
 from trajeval_ros.diagnosis.findings import Finding
 from trajeval_ros.geometry import lie
@@ -22,7 +22,7 @@ PAIRS = [DRONE, HANDHELD]
 
 def findings(pair: Pair, estimate: Trajectory, gauge: Gauge | None = None) -> list[Finding]:
     wrong = dataclasses.replace(pair, estimate=estimate, gauge=gauge or pair.gauge)
-    return list(found(wrong).findings)
+    return list(diagnosis_of(wrong).findings)
 
 
 def rotated(estimate: Trajectory, world: Rotation, body: Rotation) -> Trajectory:
@@ -107,7 +107,7 @@ def test_a_unit(metres: float, unit: str, side: str) -> None:
     attribute = "truth" if side == "groundtruth" else side
     poses = getattr(DRONE, attribute)
     changed = dataclasses.replace(poses, positions=poses.positions / metres)
-    first = found(dataclasses.replace(DRONE, **{attribute: changed})).suggested
+    first = diagnosis_of(dataclasses.replace(DRONE, **{attribute: changed})).suggested
     assert first is not None
     if (unit, side) == ("feet", "groundtruth"):
         assert first.cause == "scale"

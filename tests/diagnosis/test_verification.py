@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.diagnosis import CORRECTED, found, left_by_corrections
+from benchmarks.diagnosis import CORRECTED, diagnosis_of, left_by_corrections
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES, Mistake, change, quaternions_of
 from benchmarks.diagnosis_runs import Pair, simulated
@@ -36,7 +36,7 @@ CASES = [
 def test_a_mistake_of_users_is_named_and_corrected(name: str, kind: str) -> None:
     pair = RUNS[kind]
     wrong = USERS[name].make(pair)
-    first = found(wrong).suggested
+    first = diagnosis_of(wrong).suggested
     assert first is not None
     assert first.cause in {*USERS[name].causes, "convention_tie"}
     if first.correction and name not in ABOUT and not (kind == "car" and name in WITHOUT_BODY):
@@ -49,7 +49,7 @@ def test_a_mistake_of_users_is_named_and_corrected(name: str, kind: str) -> None
 @pytest.mark.parametrize("name", [*sorted(USERS), *sorted(MISTAKES)])
 def test_no_advice_makes_the_ate_worse(name: str) -> None:
     wrong = {**USERS, **MISTAKES}[name].make(CAR)
-    findings = found(wrong).findings
+    findings = diagnosis_of(wrong).findings
     assert findings or name in NOT_ON_CARS | {"lever arm"}
     for finding in findings:
         if finding.tried is not None:
@@ -59,7 +59,7 @@ def test_no_advice_makes_the_ate_worse(name: str) -> None:
 @pytest.mark.parametrize("side", ["estimate", "groundtruth"])
 def test_inverse_poses_are_named_in_spite_of_a_clock_offset(side: str) -> None:
     wrong = FURTHER["clock +0.2 s"].make(MISTAKES[f"inverse, {side}"].make(DRONE))
-    first = found(wrong).suggested
+    first = diagnosis_of(wrong).suggested
     assert first is not None
     assert (first.cause, first.option) == ("inverse", "--correct inverse")
 
@@ -67,7 +67,7 @@ def test_inverse_poses_are_named_in_spite_of_a_clock_offset(side: str) -> None:
 def test_a_divergence_from_the_start_is_no_scale() -> None:
     """The estimate is as large as 3e6 times the groundtruth, and has this scale after 30 s."""
     pair = simulated(8124, "drone", "heavy", 100.0)
-    first = found(FURTHER["diverging from the start"].make(pair)).suggested
+    first = diagnosis_of(FURTHER["diverging from the start"].make(pair)).suggested
     assert first is not None
     assert first.cause == "diverged_at_start"
 
@@ -77,7 +77,7 @@ def test_a_divergence_from_the_start_is_no_scale() -> None:
 def test_only_inverse_poses_may_leave_more_than_the_noise(mistake: str) -> None:
     for seed, kind in ((8123, "drone"), (8130, "robot")):
         pair = simulated(seed, kind, "walk" if kind == "drone" else "heavy", 100.0)
-        first = found(USERS[mistake].make(pair)).suggested
+        first = diagnosis_of(USERS[mistake].make(pair)).suggested
         assert first is not None
         assert first.cause in USERS[mistake].causes
 
@@ -94,7 +94,8 @@ def test_a_frozen_groundtruth_is_no_clock_offset() -> None:
     for seed in range(5004, 5008):
         pair = simulated(seed, "car" if seed < 5006 else "robot", "walk", 100.0)
         causes = {
-            finding.cause for finding in found(MISTAKES["groundtruth frozen"].make(pair)).findings
+            finding.cause
+            for finding in diagnosis_of(MISTAKES["groundtruth frozen"].make(pair)).findings
         }
         assert causes == {"groundtruth_frozen"}
 
@@ -115,7 +116,7 @@ def test_a_frozen_groundtruth_is_no_clock_offset() -> None:
 def test_the_option_is_the_one_that_corrects(
     pair: Pair, mistake: Mistake, option: tuple[str, str]
 ) -> None:
-    first = found(mistake.make(pair)).suggested
+    first = diagnosis_of(mistake.make(pair)).suggested
     assert first is not None
     assert tuple(first.correction.items()) == (option,)
 
@@ -126,7 +127,7 @@ def test_a_clock_offset_is_found_beside_a_frozen_groundtruth() -> None:
     rows[3 * count // 10 : 7 * count // 10] = 3 * count // 10
     frozen = dataclasses.replace(DRONE.truth[rows], stamps=DRONE.truth.stamps)
     wrong = USERS["clock +0.35 s"].make(dataclasses.replace(DRONE, truth=frozen))
-    causes = {finding.cause for finding in found(wrong).findings}
+    causes = {finding.cause for finding in diagnosis_of(wrong).findings}
     assert causes == {"clock_offset", "groundtruth_frozen"}
 
 
@@ -138,15 +139,15 @@ def test_a_clock_offset_is_no_lever_arm() -> None:
         (CAR, USERS["clock +0.8 s"], "clock_offset"),
         (robot, FURTHER["clock +0.2 s"], "small_clock_offset"),
     ):
-        assert [finding.cause for finding in found(mistake.make(pair)).findings] == [cause]
+        assert [finding.cause for finding in diagnosis_of(mistake.make(pair)).findings] == [cause]
 
 
 def test_roll_and_pitch_of_a_vehicle_are_compared() -> None:
     """They are small beside its yaw, and exchanged they can double the rotation error."""
     for kind, seed in (("car", 9711), ("car", 5004), ("robot", 9706), ("robot", 9716)):
         right = simulated(seed, kind, "walk", 100.0)
-        assert not found(right).findings
-        [text] = found(USERS["roll and pitch swapped"].make(right)).findings
+        assert not diagnosis_of(right).findings
+        [text] = diagnosis_of(USERS["roll and pitch swapped"].make(right)).findings
         assert text.cause == "rotations"
         assert not text.correction
 
@@ -163,7 +164,9 @@ def test_a_constant_turn_rate_does_not_correlate_and_is_no_other_rotation() -> N
         rotated = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
         stamps = np.rint(1e9 * times).astype(np.int64)
         sides.append(Trajectory.from_columns(stamps, np.column_stack(path) + noise, rotated))
-    causes = [finding.cause for finding in found(Pair("marker", sides[0], sides[1])).findings]
+    causes = [
+        finding.cause for finding in diagnosis_of(Pair("marker", sides[0], sides[1])).findings
+    ]
     assert causes == ["body"]
 
 
@@ -171,7 +174,9 @@ def test_what_follows_from_wrong_pairs_is_no_divergence() -> None:
     car = simulated(9704, "car", "walk", 100.0)
     for name, cause in (("clock -37 s", "clock_offset"), ("degrees as x and y", "degrees")):
         mistakes = {**MISTAKES, **USERS}
-        assert [finding.cause for finding in found(mistakes[name].make(car)).findings] == [cause]
+        assert [finding.cause for finding in diagnosis_of(mistakes[name].make(car)).findings] == [
+            cause
+        ]
 
 
 @pytest.mark.parametrize(("seed", "kind"), [(9705, "car"), (20276, "car"), (20278, "robot")])
@@ -179,7 +184,7 @@ def test_gravity_selects_axes_that_a_plane_does_not_show(seed: int, kind: str) -
     """Positions that were flipped, and positions that were rotated, have equal planar motions."""
     vehicle = simulated(seed, kind, "heavy", 100.0)
     wrong = USERS["positions alone converted"].make(vehicle)
-    assert [finding.cause for finding in found(wrong).findings] == ["axes_mixed", "body"]
+    assert [finding.cause for finding in diagnosis_of(wrong).findings] == ["axes_mixed", "body"]
     assert left_by_corrections(vehicle, wrong) < CORRECTED
 
 
@@ -187,7 +192,7 @@ def test_gravity_selects_axes_that_a_plane_does_not_show(seed: int, kind: str) -
 def test_two_conventions_that_do_not_reduce_the_error_are_not_named(mistake: str) -> None:
     """In a plane, they can imitate other angles; the compass with another body in addition."""
     robot = simulated(20277, "robot", "walk", 100.0)
-    [text] = found(USERS[mistake].make(robot)).findings
+    [text] = diagnosis_of(USERS[mistake].make(robot)).findings
     assert text.cause == "rotations"
     assert not text.correction
 
@@ -196,7 +201,7 @@ def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
     wrong = USERS["increments"].make(DRONE)
     noise = np.random.default_rng(0).normal(scale=0.01, size=wrong.estimate.positions.shape)
     noisy = dataclasses.replace(wrong.estimate, positions=wrong.estimate.positions + noise)
-    first = found(dataclasses.replace(wrong, estimate=noisy)).suggested
+    first = diagnosis_of(dataclasses.replace(wrong, estimate=noisy)).suggested
     assert first is not None
     assert first.cause == "increments"
 
@@ -220,7 +225,7 @@ def test_jumps_of_wrong_rotations_are_no_restart() -> None:
 def test_increments_of_keyframes_are_not_of_another_run() -> None:
     """They are as long as four tenths of the path."""
     sparse = dataclasses.replace(DRONE, estimate=DRONE.estimate[::30])
-    first = found(USERS["increments"].make(sparse)).suggested
+    first = diagnosis_of(USERS["increments"].make(sparse)).suggested
     assert first is not None
     assert first.cause == "increments"
 
@@ -235,20 +240,22 @@ def test_rotations_of_a_body_that_turns_slowly_are_compared(mistake: str) -> Non
         )
         for side, item in (("truth", wrong.truth), ("estimate", wrong.estimate))
     }
-    [text] = found(dataclasses.replace(wrong, **sides, max_gap_s=1.0)).findings
+    [text] = diagnosis_of(dataclasses.replace(wrong, **sides, max_gap_s=1.0)).findings
     assert text.cause == "rotations"
 
 
 def test_a_convention_that_leaves_other_tilts_is_not_advised() -> None:
     """Inverse rotations have a compass's heading in a plane, and other roll and pitch."""
     pair = simulated(31004, "car", "walk", 100.0)
-    [text] = found(USERS["compass heading"].make(pair)).findings
+    [text] = diagnosis_of(USERS["compass heading"].make(pair)).findings
     assert text.cause == "rotations"
     assert not text.correction
 
 
 def test_rotations_that_differ_too_much_are_no_other_body() -> None:
-    causes = {finding.cause for finding in found(USERS["radians as degrees"].make(DRONE)).findings}
+    causes = {
+        finding.cause for finding in diagnosis_of(USERS["radians as degrees"].make(DRONE)).findings
+    }
     assert causes == {"rotations"}
 
 
@@ -268,7 +275,7 @@ def test_beside_wrong_rotations_only_positions_are_compared(
 ) -> None:
     pair = DRONE if kind == "drone" else simulated(5006, "robot", "walk", 100.0)
     wrong = USERS[rotations].make(MISTAKES[mistake].make(pair))
-    assert [finding.cause for finding in found(wrong).findings] == causes
+    assert [finding.cause for finding in diagnosis_of(wrong).findings] == causes
 
 
 def test_a_right_recording_is_not_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from trajeval_ros.geometry import array_input, lie
 from trajeval_ros.geometry.frame_axes import upright, with_body_axes, with_world_axes
 from trajeval_ros.geometry.marker import HandEye, at_arms
 from trajeval_ros.geometry.pose_conventions import Conventions
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import flattened, merged
 from trajeval_ros.geometry.up_axis import UpAxis

@@ -110,9 +110,9 @@ def test_what_is_not_in_one_frame_is_not_merged() -> None:
 
 
 @given(st.integers(1, 300), st.integers(1, 300))
-def test_even_thinning(count: int, wanted: int) -> None:
-    rows = evenly(count, wanted)
-    assert len(rows) == min(count, wanted)
+def test_even_thinning(count: int, required: int) -> None:
+    rows = evenly(count, required)
+    assert len(rows) == min(count, required)
     assert (np.diff(rows) > 0).all()
     assert rows[0] == 0
     if len(rows) > 1:

@@ -22,7 +22,7 @@ from trajeval_ros.geometry.gauge import (
     least_squares_normals,
     orbit_basis,
 )
-from trajeval_ros.geometry.inertial import turned_by_gyro
+from trajeval_ros.geometry.inertial import rotations_by_gyro
 from trajeval_ros.geometry.marker import HandEye, at_arms
 from trajeval_ros.geometry.preintegration import ImuNoise, preintegrate
 
@@ -352,8 +352,8 @@ def test_a_gyroscope_of_linear_rates_turns_by_their_integral() -> None:
     seconds = np.array([0.0, 0.3, 0.4, 1.0])
     rates = np.outer(1.0 + 2.0 * seconds, [0.0, 0.6, 0.8])
     first = lie.from_rotation_vector(np.array([0.5, 0.0, 0.0]))
-    result = turned_by_gyro(seconds, rates, first)
+    result = rotations_by_gyro(seconds, rates, first)
     rotations = np.outer(seconds + seconds**2, [0.0, 0.6, 0.8])
     expected = Rotation.from_quat(first) * Rotation.from_rotvec(rotations)
     assert (expected.inv() * Rotation.from_quat(result)).magnitude().max() < 1e-12
-    np.testing.assert_array_equal(turned_by_gyro(seconds, rates)[0], [0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(rotations_by_gyro(seconds, rates)[0], [0.0, 0.0, 0.0, 1.0])

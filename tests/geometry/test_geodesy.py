@@ -17,7 +17,7 @@ from trajeval_ros.geometry.geodesy import (
     east_north_up,
     parse_datum,
     places_at,
-    turned_covariances,
+    rotated_covariances,
 )
 
 PROMISED_M = 5e-9
@@ -109,10 +109,10 @@ def test_the_frame_is_rigid(latitude: float, longitude: float, north: float, eas
 def test_covariances_turn_with_the_frame() -> None:
     datum = Datum(47.0, 8.0, 400.0)
     sigma = np.diag([1.0, 4.0, 9.0])[None]
-    at_datum = turned_covariances(sigma, datum.coordinates[None], datum)
+    at_datum = rotated_covariances(sigma, datum.coordinates[None], datum)
     np.testing.assert_allclose(at_datum, sigma, atol=1e-12)
     # A quarter of the way around the earth, on the equator: east there is down here.
-    around = turned_covariances(sigma, np.array([[0.0, 90.0, 0.0]]), Datum(0.0, 0.0, 0.0))
+    around = rotated_covariances(sigma, np.array([[0.0, 90.0, 0.0]]), Datum(0.0, 0.0, 0.0))
     np.testing.assert_allclose(around[0], np.diag([9.0, 4.0, 1.0]), atol=1e-12)
 
 

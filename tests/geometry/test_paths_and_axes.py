@@ -21,11 +21,11 @@ from trajeval_ros.geometry.pose_conventions import Conventions, mirrored_quatern
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.geometry.travelled import (
+    rotation_angle,
     speeds,
     step_angles,
     step_lengths,
     travelled_distance,
-    turned_angle,
 )
 from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
 
@@ -50,7 +50,7 @@ def test_lengths_and_angles_along_a_path() -> None:
     np.testing.assert_allclose(step_lengths(positions), [5, 12, 0])
     np.testing.assert_allclose(travelled_distance(positions), [0, 5, 17, 17])
     np.testing.assert_allclose(step_angles(rotations), [0.5, 0.3, 3.0], atol=1e-12)
-    np.testing.assert_allclose(turned_angle(rotations), [0, 0.5, 0.8, 3.8], atol=1e-12)
+    np.testing.assert_allclose(rotation_angle(rotations), [0, 0.5, 0.8, 3.8], atol=1e-12)
     stamps = np.array([0, 2, 3, 5]) * SECOND
     linear, angular = speeds(stamps, positions, rotations)
     np.testing.assert_allclose(linear, [2.5, 12, 0])

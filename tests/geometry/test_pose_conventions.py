@@ -17,7 +17,7 @@ FLIGHT = simulate(seed=1, duration_s=30.0)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"scale": 0.0}, "greater than zero"),
         ({"scale": float("nan")}, "greater than zero"),
@@ -29,18 +29,20 @@ FLIGHT = simulate(seed=1, duration_s=30.0)
         ({"axes": "rotations=x,-y,z"}, "left-handed"),
     ],
 )
-def test_conventions_that_do_not_exist_are_refused(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(SettingsError, match=said):
+def test_conventions_that_do_not_exist_are_refused(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
         Conventions(**wrong)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [({"inverse": "poses"}, "only positions"), ({"quaternion_order": "wxyz"}, "no orientations")],
 )
-def test_positions_have_no_conventions_of_orientations(wrong: dict[str, Any], said: str) -> None:
+def test_positions_have_no_conventions_of_orientations(
+    wrong: dict[str, Any], message: str
+) -> None:
     bare = dataclasses.replace(FLIGHT.estimate, quaternions=None)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         Conventions(**wrong).corrected(bare)
 
 

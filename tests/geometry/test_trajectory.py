@@ -14,7 +14,7 @@ from strategies import SAME_ROTATION_RAD, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.io.bags.transform_tree import Edge

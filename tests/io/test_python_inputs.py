@@ -143,7 +143,7 @@ def test_the_package_lists_its_own_names() -> None:
 
 
 @pytest.mark.parametrize(
-    ("made", "said"),
+    ("made", "message"),
     [
         (lambda: Trajectory.from_matrices(np.zeros((5, 3, 3))),
          r"matrices have shape \(5, 3, 3\), expected \(N, 4, 4\) or \(N, 3, 4\)"),
@@ -179,7 +179,7 @@ def test_the_package_lists_its_own_names() -> None:
          "cannot be paired by row; pair them by time with --association linear"),
     ],
 )  # fmt: skip
-def test_wrong_arrays_are_named(made: object, said: str) -> None:
+def test_wrong_arrays_are_named(made: object, message: str) -> None:
     assert callable(made)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         made()

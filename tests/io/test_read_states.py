@@ -11,7 +11,7 @@ import pytest
 from tests.io.bags.test_pose_rules import poses
 from trajeval_ros import evaluate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_columns import PoseColumns
 from trajeval_ros.io.bags.topics import trajectory_of_columns

@@ -99,7 +99,7 @@ def read(
     return read_trajectory(f"{path}:{name}")
 
 
-def said(trajectory: Trajectory) -> str:
+def message(trajectory: Trajectory) -> str:
     return "; ".join(remark.text for remark in trajectory.reading.remarks)
 
 
@@ -135,7 +135,7 @@ def test_poses_are_in_ros_axes(tmp_path: Path, frame: int, world: Array, in_body
         "map_enu" if frame == NED else "odom_flu",
         "base_link_flu",
     )
-    assert f"converted from {'NED' if frame == NED else 'FRD'}" in said(result)
+    assert f"converted from {'NED' if frame == NED else 'FRD'}" in message(result)
 
 
 def test_level_and_north_is_a_yaw_of_90_deg(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_unusable_poses_are_dropped_and_counted(tmp_path: Path) -> None:
     }
     assert len(result) == COUNT - 7
     assert result.frame == "map_enu"
-    assert "2 messages with quality -1" in said(result)
+    assert "2 messages with quality -1" in message(result)
 
 
 def test_variances_of_one_kind_are_kept_and_the_missing_ones_counted(tmp_path: Path) -> None:
@@ -195,10 +195,11 @@ def test_variances_of_one_kind_are_kept_and_the_missing_ones_counted(tmp_path: P
     expected = whole.covariances.copy()
     expected[4:, :3, :3] = expected[:3, 3:, 3:] = np.nan
     np.testing.assert_array_equal(result.covariances, expected)
-    assert "covariances are incomplete: 26 messages without variances of the position, 3" in said(
-        result
+    assert (
+        "covariances are incomplete: 26 messages without variances of the position, 3"
+        in message(result)
     )
-    assert "incomplete" not in said(whole)
+    assert "incomplete" not in message(whole)
     old = {name: columns[name] for name in ("timestamp", "timestamp_sample", "q")}
     old |= dict(zip("xyz", columns["position"].T, strict=True))
     old |= dict(zip(("vx", "vy", "vz"), columns["velocity"].T, strict=True))
@@ -208,11 +209,11 @@ def test_variances_of_one_kind_are_kept_and_the_missing_ones_counted(tmp_path: P
     result = read(tmp_path, "vehicle_odometry", old)
     assert result.covariances is not None
     assert np.isfinite(result.covariances[:, :3, :3]).all()
-    assert "30 messages without variances of the orientation" in said(result)
+    assert "30 messages without variances of the orientation" in message(result)
     nothing = {f"{item}_variance": np.zeros((COUNT, 3)) for item in ("position", "orientation")}
     result = read(tmp_path, "vehicle_odometry", odometry(**nothing))
     assert result.covariances is None
-    assert "incomplete" not in said(result)
+    assert "incomplete" not in message(result)
 
 
 def test_declared_resets_have_a_step_and_a_turn(tmp_path: Path) -> None:
@@ -232,8 +233,8 @@ def test_declared_resets_have_a_step_and_a_turn(tmp_path: Path) -> None:
     assert (first.stamp_ns, second.stamp_ns) == (1_200_000_000, 1_250_000_000)
     np.testing.assert_allclose(first[1:], [0.5, 0.0], atol=1e-5)
     np.testing.assert_allclose(second[1:], [0.0, np.degrees(0.1)], atol=1e-5)
-    assert "2 resets declared by the estimator: at 0.20 s 0.50 m and 0.0 deg" in said(result)
-    assert said(result).endswith("use --start @1.250")
+    assert "2 resets declared by the estimator: at 0.20 s 0.50 m and 0.0 deg" in message(result)
+    assert message(result).endswith("use --start @1.250")
 
 
 def test_local_positions_get_interpolated_attitudes(tmp_path: Path) -> None:

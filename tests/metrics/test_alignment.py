@@ -72,7 +72,7 @@ def test_no_other_element_of_the_gauge_fits_better(
             step[3:6] = 0.0
         if not gauge.has_so3:
             step[:2] = 0.0
-        if not (gauge.has_so3 or gauge.turns_about_gravity_only):
+        if not (gauge.has_so3 or gauge.yaw_only):
             step[2] = 0.0
         if not gauge.has_scale:
             step[6] = 0.0

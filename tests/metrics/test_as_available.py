@@ -19,8 +19,8 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.as_available import (
@@ -46,7 +46,7 @@ def received(
     velocities: np.ndarray | None = None,
     rates: np.ndarray | None = None,
 ) -> Trajectory:
-    reading = SourceInfo(receptions=ReceiveTimes(times, body_rates=rates))
+    reading = SourceInfo(receive_times=ReceiveTimes(times, body_rates=rates))
     return Trajectory(stamps, positions, quaternions, velocities=velocities, reading=reading)
 
 
@@ -56,11 +56,11 @@ def measured(groundtruth: Trajectory, estimate: Trajectory, motion: str = "hold"
     return result
 
 
-def errors(found: AsAvailable) -> tuple[np.ndarray, np.ndarray]:
+def errors(outcome: AsAvailable) -> tuple[np.ndarray, np.ndarray]:
     """Return the as-available position errors (N, 3) and rotation vectors (N, 3)."""
-    assert found.samples is not None
-    assert found.samples.rotation is not None
-    return found.samples.position.sum(axis=0), found.samples.rotation.sum(axis=0)
+    assert outcome.samples is not None
+    assert outcome.samples.rotation is not None
+    return outcome.samples.position.sum(axis=0), outcome.samples.rotation.sum(axis=0)
 
 
 def line(stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -95,16 +95,16 @@ def test_held_pose_on_a_line_is_behind_by_speed_times_age() -> None:
 @pytest.mark.parametrize("lacks", ["rates", "a rate", "velocities", "motion"])
 def test_without_a_twist_the_numbers_of_its_prediction_are_withheld(lacks: str) -> None:
     truth, estimate = on_line()
-    receptions, velocities = estimate.reading.receptions, estimate.velocities
-    assert receptions is not None
-    assert receptions.body_rates is not None
+    receive_times, velocities = estimate.reading.receive_times, estimate.velocities
+    assert receive_times is not None
+    assert receive_times.body_rates is not None
     assert velocities is not None
-    rates: np.ndarray | None = receptions.body_rates
+    rates: np.ndarray | None = receive_times.body_rates
     if lacks == "rates":
         rates = None
     elif lacks == "a rate":
-        receptions.body_rates[7, 1] = np.nan
-    reading = SourceInfo(receptions=dataclasses.replace(receptions, body_rates=rates))
+        receive_times.body_rates[7, 1] = np.nan
+    reading = SourceInfo(receive_times=dataclasses.replace(receive_times, body_rates=rates))
     moving = {"velocities": None, "motion": np.zeros_like(velocities)}.get(lacks, velocities)
     estimate = dataclasses.replace(estimate, velocities=moving, reading=reading)
     numbers = as_available(truth, estimate, IDENTITY, AvailabilityRule("twist"), 0.5).numbers
@@ -232,10 +232,10 @@ def test_no_later_message_is_older_and_none_is_used_before_its_reception(seed: i
     truth, estimate = rough(seed)
     result = measured(truth, estimate)
     assert result.samples is not None
-    receptions = estimate.reading.receptions
-    assert receptions is not None
+    receive_times = estimate.reading.receive_times
+    assert receive_times is not None
     for stamp, age in zip(result.samples.stamps[::97], result.samples.age[::97], strict=True):
-        had = receptions.times <= stamp
+        had = receive_times.times <= stamp
         assert stamp - age == estimate.stamps[had].max()
 
 
@@ -266,7 +266,7 @@ def test_corrected_pose_acts_from_its_reception_and_keeps_the_age_of_its_pose() 
     times = np.array([1_100, 1_500, 2_100]) * 10**6
     corrected = np.array([500, 1_500, 1_500]) * 10**6
     positions = np.column_stack([[1.0, 5.0, 6.0], np.zeros((3, 2))])
-    reading = SourceInfo(receptions=ReceiveTimes(times, corrected=corrected))
+    reading = SourceInfo(receive_times=ReceiveTimes(times, corrected=corrected))
     result = measured(truth, Trajectory(stamps, positions, reading=reading))
     samples = result.samples
     assert samples is not None
@@ -302,16 +302,16 @@ def numbers_of(numbers: Availability) -> dict[str, Any]:
     }
 
 
-def assert_equal(found: Any, expected: Any, name: str, tolerance: float) -> None:
+def assert_equal(outcome: Any, expected: Any, name: str, tolerance: float) -> None:
     if isinstance(expected, dict):
         for key, value in expected.items():
-            assert_equal(found[key], value, f"{name}.{key}", tolerance)
+            assert_equal(outcome[key], value, f"{name}.{key}", tolerance)
     else:
-        assert found == pytest.approx(expected, rel=tolerance, abs=tolerance), name
+        assert outcome == pytest.approx(expected, rel=tolerance, abs=tolerance), name
 
 
 def formula(stamps: np.ndarray, case: dict[str, Any]) -> np.ndarray:
-    """Return the receptions that the reference states."""
+    """Return the receive times that the reference states."""
     rows = np.arange(len(stamps))
     late = np.where(rows % case["every"] == case["every"] - 1, 300_000_000, 0)
     return stamps + case["base_ns"] + case["step_ns"] * (7919 * rows % 1000) + late
@@ -327,7 +327,7 @@ def test_reference(case: dict[str, Any]) -> None:
     folder = SHARED / "portable" / "pairs" / name
     truth, estimate = (read_trajectory(folder / f"{side}.txt") for side in ("gt", "est"))
     reading = dataclasses.replace(
-        estimate.reading, receptions=ReceiveTimes(formula(estimate.stamps, case))
+        estimate.reading, receive_times=ReceiveTimes(formula(estimate.stamps, case))
     )
     estimate = dataclasses.replace(estimate, reading=reading)
     evaluation = evaluate(truth, estimate, Protocol(modality="stereo", lengths=()))
@@ -347,7 +347,7 @@ def test_reference(case: dict[str, Any]) -> None:
 
 def delayed(estimate: Trajectory, latency_s: float) -> Trajectory:
     times = estimate.stamps + round(latency_s * SECOND)
-    reading = dataclasses.replace(estimate.reading, receptions=ReceiveTimes(times))
+    reading = dataclasses.replace(estimate.reading, receive_times=ReceiveTimes(times))
     return dataclasses.replace(estimate, reading=reading)
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from strategies import START, make_estimate, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import AssociationRule, associate
 

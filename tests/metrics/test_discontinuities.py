@@ -13,8 +13,8 @@ import pytest
 from trajeval_ros import evaluate, read_trajectory, simulate
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
@@ -121,7 +121,7 @@ def test_a_clock_step_is_measured_by_receive_times(side: str, step_s: float) -> 
         stamps = trajectory.stamps.copy()
         if name == side:
             stamps[inside(trajectory, AT_S, np.inf)] += round(step_s * NANOSECONDS)
-        reading = SourceInfo(receptions=ReceiveTimes(received))
+        reading = SourceInfo(receive_times=ReceiveTimes(received))
         pair.append(dataclasses.replace(trajectory, stamps=stamps, reading=reading))
     events = discontinuities(pair[0], pair[1])
     event = only(events)

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from trajeval_ros import read_trajectory, simulate
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.one_stream import KnownEvent, OneStream
@@ -161,7 +161,7 @@ def test_a_clock_step_is_measured_by_receive_times(step_s: float) -> None:
     received = np.maximum.accumulate(groundtruth.stamps + delays.astype(np.int64))
     stamps = groundtruth.stamps.copy()
     stamps[inside(groundtruth, AT_S, END_S)] += round(step_s * NANOSECONDS)
-    reading = SourceInfo(receptions=ReceiveTimes(received))
+    reading = SourceInfo(receive_times=ReceiveTimes(received))
     stepped = dataclasses.replace(groundtruth, stamps=stamps, reading=reading)
     event = only(stream_discontinuities(stepped, "groundtruth"))
     assert (event.kind, event.certainty) == ("clock_step", "sure")
@@ -241,9 +241,9 @@ def test_the_memory_is_that_of_a_minute() -> None:
         ("tum/fr2_desk_groundtruth.txt", []),
         ("gnss/husky_outdoor.bag", []),
         ("hilti_2021/Campus_2_prism.txt", []),
-        ("groundtruth_quality/V1_01_corrected/groundtruth.txt.gz", []),
-        ("groundtruth_quality/V1_01_original/groundtruth.txt.gz", []),
-        ("groundtruth_quality/mocap2gt/groundtruth.txt.gz", []),
+        ("groundtruth_doctor/V1_01_corrected/groundtruth.txt.gz", []),
+        ("groundtruth_doctor/V1_01_original/groundtruth.txt.gz", []),
+        ("groundtruth_doctor/mocap2gt/groundtruth.txt.gz", []),
         ("field_cases/slow_groundtruth/rtk.txt", []),
     ],
 )

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.metrics.test_as_available import IDENTITY, rough
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.as_available import AvailabilityRule, as_available
 from trajeval_ros.metrics.stream_health import UNKNOWN
@@ -18,12 +18,12 @@ from trajeval_ros.online.live_availability import LiveAvailability
 
 def often_corrected(estimate: Trajectory, count: int) -> Trajectory:
     """Return every pose so many times, 3 ms after one another, and 1 cm apart."""
-    receptions = estimate.reading.receptions
-    assert receptions is not None
+    receive_times = estimate.reading.receive_times
+    assert receive_times is not None
     number = np.tile(np.arange(count), len(estimate))
     repeated = estimate[np.repeat(np.arange(len(estimate)), count)]
-    times = np.repeat(receptions.times, count) + 3_000_000 * number
-    reading = SourceInfo(receptions=ReceiveTimes(times, corrected=times))
+    times = np.repeat(receive_times.times, count) + 3_000_000 * number
+    reading = SourceInfo(receive_times=ReceiveTimes(times, corrected=times))
     moved = repeated.positions + 0.01 * number[:, None]
     repeated = replace(repeated, positions=moved, reading=reading)
     return repeated[np.argsort(times, kind="stable")]
@@ -39,14 +39,14 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: i
     expected = as_available(truth, estimate, IDENTITY, rule, 0.5)
     assert expected.samples is not None
     assert expected.samples.messages.late > 0.05 * len(estimate)
-    receptions = estimate.reading.receptions
-    assert receptions is not None
+    receive_times = estimate.reading.receive_times
+    assert receive_times is not None
     assert truth.quaternions is not None
     assert estimate.quaternions is not None
     live, result = LiveAvailability(rule, 0.5, 10.0), []
-    # Everything in the order of its reception; groundtruth arrives 3 ms after its timestamp.
+    # Everything in the order of its receive time; groundtruth arrives 3 ms after its timestamp.
     events = [(int(at) + 3_000_000, 0, row) for row, at in enumerate(truth.stamps)]
-    events += [(int(at), 1, row) for row, at in enumerate(receptions.times)]
+    events += [(int(at), 1, row) for row, at in enumerate(receive_times.times)]
     most = 0
     for number, (_, kind, row) in enumerate(sorted(events)):
         part = slice(row, row + 1)
@@ -73,7 +73,7 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: i
     assert live.age_p95_s is not None
 
 
-def test_nothing_is_reported_from_impossible_clocks_or_unknown_receptions() -> None:
+def test_nothing_is_reported_from_impossible_clocks_or_unknown_receive_times() -> None:
     truth, estimate = rough(4)
     for times, verdict in (
         (estimate.stamps - 50_000_000, "impossible"),
@@ -81,17 +81,19 @@ def test_nothing_is_reported_from_impossible_clocks_or_unknown_receptions() -> N
     ):
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
         live.add_groundtruth(truth)
-        live.add_estimate(replace(estimate, reading=SourceInfo(receptions=ReceiveTimes(times))))
+        live.add_estimate(replace(estimate, reading=SourceInfo(receive_times=ReceiveTimes(times))))
         assert live.update(IDENTITY) is None
         assert live.numbers == {}
-        assert live.values["reception clock"] == verdict
+        assert live.values["receive time clock"] == verdict
 
 
-def states_on(stamps: np.ndarray, receptions: ReceiveTimes | None = None) -> Trajectory:
+def states_on(stamps: np.ndarray, receive_times: ReceiveTimes | None = None) -> Trajectory:
     """Return poses that move along x at 2 m/s."""
     positions = np.outer(2.0 * stamps / 1e9, [1.0, 0.0, 0.0])
     quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
-    return Trajectory(stamps, positions, quaternions, reading=SourceInfo(receptions=receptions))
+    return Trajectory(
+        stamps, positions, quaternions, reading=SourceInfo(receive_times=receive_times)
+    )
 
 
 def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> LiveAvailability:
@@ -117,15 +119,17 @@ def test_a_twist_of_zero_is_used_once_there_was_another_one() -> None:
         for begin in range(0, len(stamps), 200):
             part = slice(begin, begin + 200)
             times = stamps[part] + 30_000_000
-            receptions = ReceiveTimes(times, body_rates=np.full((200, 3), rate))
+            receive_times = ReceiveTimes(times, body_rates=np.full((200, 3), rate))
             velocities = np.zeros((200, 3))
             velocities[:, 0] = 2.0 if moves and begin < 400 else 0.0
             live.add_groundtruth(states_on(stamps[part]))
-            live.add_estimate(replace(states_on(stamps[part], receptions), velocities=velocities))
+            live.add_estimate(
+                replace(states_on(stamps[part], receive_times), velocities=velocities)
+            )
             live.update(IDENTITY)
         has_twist = moves and rate == 0.0
         assert bool(live.numbers) is has_twist
-        assert [remark.code for remark in live.remarks] == ["reception_clock"] * (not has_twist)
+        assert [remark.code for remark in live.remarks] == ["receive_clock"] * (not has_twist)
 
 
 def test_errors_of_a_held_pose_are_its_age_times_the_speed() -> None:
@@ -138,7 +142,7 @@ def test_errors_of_a_held_pose_are_its_age_times_the_speed() -> None:
     assert 0.03 <= age_s < 0.13
     # Ages are 30 to 120 ms in steps of 10 ms.
     assert live.age_p95_s == pytest.approx(0.12, abs=0.005)
-    assert set(live.values) == {"pose age p95 [s]", "missed deadlines", "reception clock"}
+    assert set(live.values) == {"pose age p95 [s]", "missed deadlines", "receive time clock"}
 
 
 @pytest.mark.parametrize(
@@ -176,7 +180,7 @@ def test_messages_without_a_reception_are_not_used() -> None:
     assert live._messages["time"].tolist() == [5, 2 * 10**9 + 5]
 
 
-def test_an_offset_moves_the_timestamps_and_not_the_receptions() -> None:
+def test_an_offset_moves_the_timestamps_and_not_the_receive_times() -> None:
     result = []
     for offset_ns in (0, 20_000_000):
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)

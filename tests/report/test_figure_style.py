@@ -208,7 +208,7 @@ def test_dark_styles_reach_everything(evaluations: list[Evaluation], tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("jpg", None), "jpg"),
         (("png,", None), "figure format"),
@@ -217,8 +217,8 @@ def test_dark_styles_reach_everything(evaluations: list[Evaluation], tmp_path: P
         (("png", "nan"), "inches"),
     ],
 )
-def test_settings_that_mean_nothing_are_told(words: tuple[str, str | None], said: str) -> None:
-    with pytest.raises(SettingsError, match=said):
+def test_settings_that_mean_nothing_are_told(words: tuple[str, str | None], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
         FigureStyle.parse(*words, None, has_titles=True)
 
 

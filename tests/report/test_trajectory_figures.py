@@ -16,7 +16,7 @@ import pytest
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.travelled import speeds
 from trajeval_ros.simulation.drifting_odometry import simulate
@@ -139,18 +139,18 @@ def test_the_command_draws_and_replaces_its_figures_only(
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         (["--plot", "zx"], "use one of xy"),
         (["--colour-by", "error"], "--plot"),
     ],
 )
 def test_what_cannot_be_drawn_is_told_before_anything_is_read(
-    more: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    more: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["trajectory", "no.txt", *more]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert "no.txt" not in error
 
 

@@ -105,7 +105,7 @@ def published(
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("before", "after", "printed"),
     [
         ({"reliable": True}, {"reliable": False}, "best_effort, volatile"),
         ({"reliable": False}, {"reliable": True}, "reliable, volatile"),
@@ -117,7 +117,7 @@ def test_a_publisher_may_change_its_quality_of_service(
     environment: dict[str, str],
     before: dict[str, bool],
     after: dict[str, bool],
-    said: str,
+    printed: str,
     tmp_path: Path,
 ) -> None:
     from geometry_msgs.msg import PoseStamped
@@ -144,7 +144,8 @@ def test_a_publisher_may_change_its_quality_of_service(
         assert evaluator.end() == 0
         peer.node.destroy_publisher(groundtruth)
     assert (
-        f"subscribed again to {ODOMETRY}: geometry_msgs/msg/PoseStamped, {said}" in evaluator.said
+        f"subscribed again to {ODOMETRY}: geometry_msgs/msg/PoseStamped, {printed}"
+        in evaluator.printed
     )
     run = evaluator.run_of(ODOMETRY)
     assert run["association"]["pairs"] == 160
@@ -303,7 +304,7 @@ def test_a_defect_is_told_and_what_was_paired_is_written(
     with evaluating(tmp_path / "out", spoiled, gauge="yaw", lengths="8") as evaluator:
         replay(flight, environment, "--rate", 8)
         assert evaluator.process.wait(PATIENCE_S) == 1
-    assert "ZeroDivisionError" in evaluator.said
+    assert "ZeroDivisionError" in evaluator.printed
     association = evaluator.run_of(ODOMETRY)["association"]
     without_groundtruth = sum(association["dropped"].values())
     assert association["pairs"] + without_groundtruth == poses_on_disk(evaluator) > 50
@@ -323,13 +324,13 @@ def test_a_reset_goes_on_receiving_and_tells_of_results_that_can_t_be_written(
         until(lambda: poses_on_disk(evaluator) >= 78, "pairs")
         (evaluator.folder / "errors.npz").mkdir()
         told = f"subscribed to {GROUNDTRUTH}"
-        assert evaluator.said.count(told) == 1
+        assert evaluator.printed.count(told) == 1
         answer = peer.ask("/evaluator/reset", Trigger)
         assert answer.success
         publish(publishers, 1000.0, 4.0)
         [begun] = state_files(Path(answer.message.rpartition(" ")[2]))
         until(lambda: len(read_states(begun).states.stamps) >= 78, "poses of the new run")
-        assert evaluator.said.count(told) == 1  # subscriptions last over all runs
+        assert evaluator.printed.count(told) == 1  # subscriptions last over all runs
         evaluator.wait_for(f"results can't be written to {evaluator.folder}: ")
         evaluator.end()
 
@@ -341,7 +342,7 @@ def test_without_groundtruth_there_is_no_result(
         replay(flight, environment, "--rate", 20, "--topic", ODOMETRY, "--end", 10)
         evaluator.wait_for(f"no publisher on {GROUNDTRUTH}")
         assert evaluator.end() == 2
-    told = [line for line in evaluator.said.splitlines() if "no pairs of estimate" in line]
+    told = [line for line in evaluator.printed.splitlines() if "no pairs of estimate" in line]
     assert len(told) == 1
     assert re.search(rf"0 poses on {GROUNDTRUTH}, 1\d\d poses on {ODOMETRY}", told[0])
     assert not (evaluator.folder / "result.json").exists()
@@ -368,10 +369,10 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
         assert newest().level == b"\x02"
         assert values["dropped"] == "80 with timestamp zero"
         assert evaluator.end() == 2
-    assert evaluator.said.count("no message with a valid pose") == 1
+    assert evaluator.printed.count("no message with a valid pose") == 1
     assert (
         f"400 poses on {GROUNDTRUTH}, 0 poses on {ODOMETRY} (80 with timestamp zero)"
-        in evaluator.said
+        in evaluator.printed
     )
 
 
@@ -451,7 +452,7 @@ def test_a_full_disk_is_told_once_and_nothing_is_lost_when_there_is_room_again(
         assert evaluator.result == earlier
         told.clear()  # of what was said before the disk was full
         peer.until(lambda: b"\x02" in levels(), "diagnostics tell of an error")
-        assert evaluator.said.count("results can't be written") == 1
+        assert evaluator.printed.count("results can't be written") == 1
         subprocess.run(["mount", "-o", "remount,size=16m", "tmpfs", str(small_disk)], check=True)
         peer.until(lambda: peer.ask("/evaluator/save", Trigger).success, "it is saved")
         evaluator.wait_for("no longer: results can't be written")

@@ -146,9 +146,9 @@ def heard(
     return done
 
 
-def jumped(found: list[Any]) -> set[str]:
+def jumped(result: list[Any]) -> set[str]:
     """Return the names of the statuses that tell of one restart."""
-    return {item.name for item in found if RESTARTED in item.message}
+    return {item.name for item in result if RESTARTED in item.message}
 
 
 def statuses(arrays: list[Any]) -> list[Any]:
@@ -181,7 +181,7 @@ def test_a_restart_with_a_new_origin_is_told_wherever_it_matters(
 ) -> None:
     run = heard["good"].run_of(RESTARTS)
     assert [event["kind"] for event in run["events"]] == ["restart"]
-    assert heard["good"].said.count("vio_restarts: the estimate restarted at its origin") == 1
+    assert heard["good"].printed.count("vio_restarts: the estimate restarted at its origin") == 1
     told = [diagnostic for diagnostic in diagnostics if RESTARTED in diagnostic.message]
     assert jumped(told) == {"good: vio_restarts"}
     assert b"\x00" not in {item.level for item in told}
@@ -206,7 +206,7 @@ def test_stamps_that_step_back_are_told_and_sorted(
         del run["remarks"], run["diagnosis"]
     assert_same(live, expected)
     # Once in the log; the tables at the end have a note.
-    assert heard["good"].said.count(f"]: {BACKWARDS}: timestamps step back by 3.9 s") == 1
+    assert heard["good"].printed.count(f"]: {BACKWARDS}: timestamps step back by 3.9 s") == 1
 
 
 def test_what_is_no_pose_is_counted_by_reason(heard: dict[str, Evaluator]) -> None:

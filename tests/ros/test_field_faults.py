@@ -91,8 +91,8 @@ def test_a_step_of_both_clocks_is_no_fault(
     assert told == []
     # A step back begins another run. A step forward is a pause of both sides.
     assert (tmp_path / "live" / "back_2" / "result.json").exists()
-    assert "time of /groundtruth/back stepped back by" in nodes["back"].said or (
-        "time of /vio/back stepped back by" in nodes["back"].said
+    assert "time of /groundtruth/back stepped back by" in nodes["back"].printed or (
+        "time of /vio/back stepped back by" in nodes["back"].printed
     )
     assert not (tmp_path / "live" / "forward_2").exists()
     [run] = nodes["forward"].result["runs"]

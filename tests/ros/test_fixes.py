@@ -61,7 +61,7 @@ def test_fixes_that_come_late(peer: Peer, environment: dict[str, str], tmp_path:
         [run] = result["runs"]
         assert run["association"]["method"] == "groundtruth-stamps"
         assert run["noise_corrected_ate"] is not None
-    assert "the alignment uses gauge yaw" in done["plain"].said
+    assert "the alignment uses gauge yaw" in done["plain"].printed
     assert done["gated"].result["groundtruth"]["fixes"]["datum"] == asdict(DATUM)
 
 

@@ -27,8 +27,8 @@ from ros_processes import ODOMETRY, Peer, assert_same, evaluating, offline
 
 from trajeval_ros import Trajectory, simulate
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.io.bags.pose_messages import decode_poses, decode_transforms
 from trajeval_ros.io.live.state_file import read_states
 from trajeval_ros.metrics.as_available import AvailabilityRule
@@ -44,7 +44,7 @@ OPTIONS = ("--gauge", "yaw", "--lengths", "2,4", "--as-available")
 
 
 def received(estimate: list[Message], seed: int = 0) -> list[Message]:
-    """Return messages with times of reception, over 5 % of them after newer ones."""
+    """Return messages with receive times, over 5 % of them after newer ones."""
     random = np.random.default_rng(seed)
     delays = 30_000_000 + (random.exponential(0.03, len(estimate)) * 1e9).astype(int)
     times = [message[2] + int(delay) for message, delay in zip(estimate, delays, strict=True)]
@@ -54,7 +54,7 @@ def received(estimate: list[Message], seed: int = 0) -> list[Message]:
 def twisting(flight: Trajectory, rate: float = 0.3) -> Trajectory:
     """Return a trajectory with velocities and turn rates that are about right."""
     rates = rate * np.sin(np.arange(3 * len(flight)).reshape(-1, 3) / 7.0)
-    reading = SourceInfo(receptions=ReceiveTimes(flight.stamps, body_rates=rates))
+    reading = SourceInfo(receive_times=ReceiveTimes(flight.stamps, body_rates=rates))
     velocities = np.gradient(flight.positions, flight.stamps / 1e9, axis=0)
     return replace(flight, velocities=velocities, reading=reading)
 
@@ -152,8 +152,8 @@ def test_transforms_of_a_restart_do_not_mix_with_those_before(size: int, tmp_pat
     assert second.stamps[0] < FLIGHT.estimate.stamps[0] + 10**9
     steps = np.diff(np.concatenate([[0], second.stamps, FLIGHT.estimate.stamps[-1:]]))
     assert (steps >= 0).all()
-    assert second.reading.receptions is not None
-    assert second.reading.receptions.times.max() <= feed[-1][2]
+    assert second.reading.receive_times is not None
+    assert second.reading.receive_times.times.max() <= feed[-1][2]
     assert len(np.unique(second.stamps)) > len(FLIGHT.estimate) / size
 
 
@@ -172,7 +172,7 @@ def test_without_a_twist_one_sentence_withholds_the_numbers(kind: str, tmp_path:
     assert errors.update(alignment.similarity) is None
     assert errors.numbers == {}
     now = remarks_about(live.run, estimate, estimate.snapshot(), {}, LIMITS)
-    [told] = [item for item in now if item.code == "reception_clock"]
+    [told] = [item for item in now if item.code == "receive_clock"]
     text = "the messages have no twist; use --as-available constant"
     assert told.text == f"as available: {text}"
     live.end()
@@ -216,15 +216,16 @@ def clock_message(at: int) -> bytes:
 
 
 def as_stored(sent: list[Message], poses: Trajectory) -> list[Message]:
-    """Return messages with the receptions that a run has stored.
+    """Return messages with the receive times that a run has stored.
 
-    Corrections have stored receptions in their order, and other messages that of the first pose of
-    their timestamp. Transforms before the first correction, and the isolated one, have none.
+    Corrections have stored receive times in their order, and other messages that of the first
+    pose of their timestamp. Transforms before the first correction have none, nor has the isolated
+    one.
     """
-    receptions = poses.reading.receptions
-    assert receptions is not None
-    first = dict(zip(poses.stamps[::-1].tolist(), receptions.times[::-1].tolist(), strict=True))
-    later = [] if receptions.corrected is None else np.unique(receptions.corrected).tolist()
+    receive_times = poses.reading.receive_times
+    assert receive_times is not None
+    first = dict(zip(poses.stamps[::-1].tolist(), receive_times.times[::-1].tolist(), strict=True))
+    later = [] if receive_times.corrected is None else np.unique(receive_times.corrected).tolist()
     result: list[Message] = []
     for topic, kind, _, payload in sent[::-1]:  # the first correction may be missing
         parent, stamp = "", 0
@@ -252,7 +253,7 @@ def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
     """With a pause and a restart of the simulated time.
 
     One thread publishes /clock and the messages. Their order is therefore that of the bag, and
-    every reception is between two ticks of the clock, however late the processes run.
+    every receive time is between two ticks of the clock, however late the processes run.
     """
     from geometry_msgs.msg import Vector3Stamped
     from std_msgs.msg import Float64

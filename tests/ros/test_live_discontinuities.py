@@ -167,7 +167,7 @@ def test_status_log_event_and_result_say_the_same(heard: Heard, row: str) -> Non
     [event] = [item for item in heard.events_of(node, name) if item["kind"] == kind]
     assert event["subject"] == side
     assert event["sentence"].startswith(sentence)
-    assert f"{name}: {event['sentence']}" in heard.nodes[node].said
+    assert f"{name}: {event['sentence']}" in heard.nodes[node].printed
     assert any(kind_words(kind, sentence) in text for text in heard.warnings_of(node, name))
     [recorded] = [
         item for item in heard.nodes[node].run_of(topic)["events"] if item["kind"] == kind
@@ -190,7 +190,7 @@ def test_a_divergence_is_told_live_and_in_the_result(heard: Heard, topic: str) -
         assert levels
         assert set(levels) <= {b"\x01", b"\x02"}
         assert levels == sorted(levels)
-    assert sentence in heard.nodes["good"].said
+    assert sentence in heard.nodes["good"].printed
     recorded = heard.nodes["good"].run_of(topic)
     [event] = [item for item in recorded["events"] if item["kind"] == "diverged"]
     assert (event["side"], event["certainty"]) == ("estimate", "sure")

@@ -183,6 +183,6 @@ def test_a_publisher_that_was_killed_and_started_again_is_a_restart(
     assert not [
         status.message for array in arrays for status in array.status if "mixed" in status.message
     ]
-    assert live.said.count("its publisher was restarted") == 2  # of both topics
+    assert live.printed.count("its publisher was restarted") == 2  # of both topics
     remarks = [remark for run in live.result["runs"] for remark in run["remarks"]]
     assert "mixed_publishers" not in {remark["code"] for remark in remarks}

@@ -44,7 +44,7 @@ def test_names_are_those_of_the_namespace_and_twins_are_told_of(
         first.wait_for(
             f"vio_odometry: no messages yet on {GROUNDTRUTH}  |  other_odometry: no messages yet"
         )
-        assert "\r" not in first.said
+        assert "\r" not in first.printed
         with evaluating(tmp_path / "two", environment, *arguments, **options):
             peer.until(lambda: told("2 nodes have the name /drone1/evaluator"), "twins")
 

@@ -67,7 +67,7 @@ def test_a_loop_with_covariances_and_stamps_of_the_future(
         assert_same(run, expected["runs"][0])
         assert run["association"]["dropped"]["lone_stamp"] == 2
         assert run["consistency"]["per_pose"]["poses"] == run["association"]["pairs"]
-    log = [line for line in live.said.splitlines() if line.startswith("[")]  # not of `finish`
+    log = [line for line in live.printed.splitlines() if line.startswith("[")]  # not of `finish`
     told = [line for line in log if "timestamp differs" in line or "timestamps differ" in line]
     assert len(told) == 4  # each side of each run
 
@@ -92,7 +92,7 @@ def test_a_reset_soon_after_a_reset_by_time(
         peer.play(bag, SUBSCRIBERS, ["evaluator"], rate=8.0)
         live.wait_for(f"results of {tmp_path / 'live'} are complete")
         assert live.end() == 0
-    assert "can't be written" not in live.said
+    assert "can't be written" not in live.printed
     assert not (tmp_path / "live_2" / "result.json").exists()  # nothing was paired
     expected = offline(bag, tmp_path, GROUNDTRUTH, [ODOMETRY], *WORDS)["runs"]
     for folder in (tmp_path / "live", tmp_path / "live_3"):

@@ -71,7 +71,7 @@ def test_odd_parameters_are_understood_and_an_existing_folder_is_left_alone(
         evaluator.wait_for("unknown parameter windw; did you mean window?")
         evaluator.wait_for(f"output folder: {tmp_path / 'out_2'}")
         assert evaluator.end() == 2
-    assert "no pairs of estimate and groundtruth" in evaluator.said
+    assert "no pairs of estimate and groundtruth" in evaluator.printed
     assert [path.name for path in kept.parent.iterdir()] == ["notes.txt"]
     result = {path.name for path in (tmp_path / "out_2").iterdir()}
     assert result == {"groundtruth.states", "v.states", "metrics.prom"}
@@ -124,5 +124,5 @@ def test_the_log_and_diagnostics_show_control_characters(
     assert r"\x1b[31m" in refused.reason
     values = [value.value for array in heard for status in array.status for value in status.values]
     assert shown in values
-    text = [evaluator.said, answer, refused.reason, *values]
+    text = [evaluator.printed, answer, refused.reason, *values]
     assert not {"\x1b", "\u202e"} & set("".join(text))

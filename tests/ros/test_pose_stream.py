@@ -19,12 +19,12 @@ COUNT = 30
 FAR_NS = 10**15  # of a clock that was not set
 
 
-def source(seed: int, lone: int) -> Trajectory:
+def source(seed: int, isolated: int) -> Trajectory:
     """Return states at 20 Hz with covariances; the timestamp of one is far from all others."""
     states = make_groundtruth(seed, COUNT)
     halves = np.random.default_rng(seed).normal(size=(COUNT, 6, 6))
     stamps = 10**18 + 50_000_000 * np.arange(COUNT)
-    stamps[lone] += FAR_NS
+    stamps[isolated] += FAR_NS
     covariances = halves @ halves.swapaxes(1, 2)
     return dataclasses.replace(states, stamps=stamps, covariances=covariances)
 
@@ -32,12 +32,12 @@ def source(seed: int, lone: int) -> Trajectory:
 @settings(max_examples=30, deadline=None)
 @given(
     seed=seeds,
-    lone=st.integers(0, COUNT - 1),
+    isolated=st.integers(0, COUNT - 1),
     cuts=st.lists(st.integers(1, COUNT - 1), max_size=6, unique=True).map(sorted),
     kind=st.sampled_from([ODOM, POSE]),
 )
-def test_batches_do_not_matter(seed: int, lone: int, cuts: list[int], kind: str) -> None:
-    states = source(seed, lone)
+def test_batches_do_not_matter(seed: int, isolated: int, cuts: list[int], kind: str) -> None:
+    states = source(seed, isolated)
     payloads = [payload for *_, payload in messages_of(states, "/vio", kind)]
     arrived = 10**18 + 50_000_000 * np.arange(COUNT) + 7
     stream, result, rows = PoseStream("/vio", covariances=True), [], []
@@ -47,7 +47,7 @@ def test_batches_do_not_matter(seed: int, lone: int, cuts: list[int], kind: str)
         rows += (part[of] if len(part) else of).tolist()
     result.append(stream.last_poses())
     live = reduce(joined, [block for block in result if len(block)])
-    kept = np.delete(np.arange(COUNT), lone)
+    kept = np.delete(np.arange(COUNT), isolated)
     np.testing.assert_array_equal(live.stamps, states.stamps[kept])
     np.testing.assert_array_equal(live.positions, states.positions[kept])
     np.testing.assert_array_equal(arrivals_of(live), arrived[kept])

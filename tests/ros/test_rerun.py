@@ -69,7 +69,7 @@ def test_drawn_numbers_are_the_published_ones(
     ):
         replay(flights / "mcap", environment, "--rate", 2)
         assert evaluator.end() == 0
-        assert "Rerun" not in evaluator.said
+        assert "Rerun" not in evaluator.printed
     picture = Rrd(tmp_path / "out" / "run.rrd")
     for item, (topic, _, byte) in NUMBERS.items():
         _, drawn = picture.numbers(f"metrics/{item}/{NAME}")
@@ -142,7 +142,7 @@ def test_a_second_loop_of_a_bag_is_drawn(
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         (
             "connect:http://127.0.0.1:9",
@@ -152,13 +152,13 @@ def test_a_second_loop_of_a_bag_is_drawn(
     ],
 )
 def test_a_wrong_value_stops_the_node(
-    value: str, said: str, environment: dict[str, str], tmp_path: Path
+    value: str, message: str, environment: dict[str, str], tmp_path: Path
 ) -> None:
     topics = {"groundtruth_topic": GROUNDTRUTH, "estimate_topics": [ODOMETRY]}
     values = parameters(**topics, output=str(tmp_path / "out"), rerun=value)
     done = run_evaluator(environment, *values)
     assert done.returncode == 2
-    assert done.stderr.count(said) == 1
+    assert done.stderr.count(message) == 1
     assert not (tmp_path / "out").exists()
 
 
@@ -173,7 +173,7 @@ def test_the_node_runs_on_without_the_picture(
             replay(flights / "mcap", environment, "--rate", 9)
             assert evaluator.end() == 0
     text = f"Rerun can't use port {port}: address already in use; choose"
-    assert evaluator.said.count(text) == 1
+    assert evaluator.printed.count(text) == 1
     assert evaluator.result["runs"][0]["association"]["pairs"] > 300
     assert (tmp_path / "out" / "run.rrd").exists()
 

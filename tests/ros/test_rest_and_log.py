@@ -57,8 +57,8 @@ def test_a_robot_that_never_moves_is_no_fault_and_has_a_result(
     assert [
         text for text in errors if not text.startswith(("no groundtruth", "no estimate"))
     ] == []
-    assert "no result" not in live.said
-    assert "can't be written" not in live.said
+    assert "no result" not in live.printed
+    assert "can't be written" not in live.printed
     run = live.run_of(ODOMETRY)
     assert run["ate"]["position_m"]["rmse"] == pytest.approx(3e-3 * np.sqrt(3.0), rel=0.1)
     assert run["ate"]["rotation_deg"] is None
@@ -84,7 +84,7 @@ def test_new_warnings_and_errors_are_logged_once(
         live.wait_for("vio_odometry: no groundtruth for")
         live.wait_for("vio_odometry: no estimate for")
         assert live.end() == 0
-    lines = live.said.splitlines()
+    lines = live.printed.splitlines()
     [alarm] = [line for line in lines if "position ATE of the window" in line]
     assert "[ERROR]" in alarm
     silences = [line for line in lines if ": no groundtruth for" in line]

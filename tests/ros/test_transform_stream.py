@@ -163,9 +163,9 @@ def test_after_a_restart_of_time_the_chain_is_that_of_the_new_messages_alone(
         stamps = np.concatenate([item.stamps for item in states])
         back = np.flatnonzero(np.diff(stamps) < -SECOND)
         rows = slice(back[-1] + 1 if len(back) else 0, None)
-        received = [item for item in received if item.reading.receptions is not None]
+        received = [item for item in received if item.reading.receive_times is not None]
         poses = np.concatenate([rows_of(item) for item in received])
-        times = np.concatenate([item.reading.receptions.times for item in received])
+        times = np.concatenate([item.reading.receive_times.times for item in received])
         results.append(
             (stamps[rows], times[times >= START + pause], poses[times >= START + pause])
         )

@@ -262,7 +262,7 @@ def test_a_frame_that_is_not_there_is_named(
         replay(flight, environment, "--rate", 8)
         evaluator.wait_for(f"{wrong}: unknown frame camra; use one of camera, ")
         evaluator.end()
-    assert f"0 poses on {wrong}" in evaluator.said
+    assert f"0 poses on {wrong}" in evaluator.printed
 
 
 @pytest.mark.parametrize("source", ["/tf:map", "/tf:.camera", "/tf:map.map"])

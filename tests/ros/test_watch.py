@@ -66,7 +66,7 @@ def test_an_injected_fault_is_the_alarm_that_the_recording_has(
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
     expected: dict[str, int] = {}
-    for alarm in sorted(offline["alarms"], key=lambda found: found["begin_ns"]):
+    for alarm in sorted(offline["alarms"], key=lambda outcome: outcome["begin_ns"]):
         expected.setdefault(alarm["signal"], alarm["begin_ns"])
     assert {
         "pair_percent_5s.vio",
@@ -89,10 +89,10 @@ def test_an_injected_fault_is_the_alarm_that_the_recording_has(
         )
         assert evaluator.end() == 0
     assert not (tmp_path / "out").exists()
-    found = alarms_of(events)
-    assert found.keys() == expected.keys()
+    outcome = alarms_of(events)
+    assert outcome.keys() == expected.keys()
     np.testing.assert_allclose(
-        [found[item] for item in expected], list(expected.values()), rtol=0.0, atol=1
+        [outcome[item] for item in expected], list(expected.values()), rtol=0.0, atol=1
     )
     [first, *_] = [event for event in events if values_of(event)["kind"] == "alarm"]
     assert float(values_of(first)["factor"]) == 1.0
@@ -179,7 +179,7 @@ def test_an_alarm_calls_the_snapshot_service_once(
         peer.play(diverging, {"/odom": 1, "/groundtruth": 1}, ["evaluator"], RATE)
         answer = "snapshot taken by " if has_room else "no snapshot: "
         text = f"{answer}/recorder/snapshot"
-        peer.until(lambda: text in evaluator.said, text)
+        peer.until(lambda: text in evaluator.printed, text)
         assert evaluator.end() == 0
     peer.node.destroy_service(service)
     assert len(calls) == 1

@@ -184,7 +184,7 @@ def test_a_body_that_does_not_travel_is_refused(flown: Trajectory, up: float) ->
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--trials", "0"], "--trials must be at least 1"),
         (["--profile", "perfect"], "unknown profile"),
@@ -198,12 +198,12 @@ def test_a_body_that_does_not_travel_is_refused(flown: Trajectory, up: float) ->
     ],
 )
 def test_says_what_is_wrong(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     folder = tmp_path / "study"
     assert main(["study", "gauge", "--output", str(folder), *arguments]) == 2
     captured = capsys.readouterr()
-    assert said in captured.err
+    assert message in captured.err
     assert len(captured.err.splitlines()) == 1
     assert not folder.exists()
 

@@ -122,7 +122,7 @@ def test_what_an_association_cannot_report_is_said(
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--rate", "0"], "greater than 0 Hz"),
         (["--dropout-length", "2"], "--dropout-length '2' is not valid"),
@@ -132,13 +132,13 @@ def test_what_an_association_cannot_report_is_said(
     ],
 )
 def test_bad_settings_are_said(
-    files: Path, options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    files: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["study", "association", "-g", str(files / "truth.txt")]
     status = main([*arguments, "-e", str(files / "estimate0.txt"), *options])
     printed = capsys.readouterr()
     assert status == 2
-    assert said in printed.err
+    assert message in printed.err
 
 
 def test_json_alone_on_stdout(files: Path, capsys: pytest.CaptureFixture[str]) -> None:

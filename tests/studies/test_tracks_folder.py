@@ -254,7 +254,7 @@ def _copied(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
         (lambda folder: (folder / "imu.csv").unlink(), "has no file of IMU samples"),
         (_copied, "has more than one file of IMU samples"),
@@ -292,9 +292,9 @@ def _copied(folder: Path) -> None:
     ],
 )
 def test_what_cannot_be_used_is_refused(
-    folder: Path, spoil: Callable[[Path], object], said: str
+    folder: Path, spoil: Callable[[Path], object], message: str
 ) -> None:
     spoil(folder)
-    with pytest.raises(InputError, match=said) as refusal:
+    with pytest.raises(InputError, match=message) as refusal:
         _examined(folder)
     assert "\n" not in str(refusal.value)

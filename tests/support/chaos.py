@@ -225,10 +225,10 @@ class Campaign:
         print(f"FAULT {self.verb.name}: {text}", flush=True)
 
 
-def _same(found: Listing, whole: Listing) -> bool:
+def _same(outcome: Listing, whole: Listing) -> bool:
     """Whether there are the same files with the same bytes, but for those of their own."""
-    return found.keys() - OWN == whole.keys() - OWN and all(
-        found[name] == digest for name, digest in whole.items() if name not in OWN
+    return outcome.keys() - OWN == whole.keys() - OWN and all(
+        outcome[name] == digest for name, digest in whole.items() if name not in OWN
     )
 
 

@@ -17,7 +17,7 @@ from trajeval_ros.geometry.inertial import InertialReadings
 
 START_NS = 1_700_000_000_000_000_000
 GRAVITY = np.array([0.0, 0.0, 9.81])
-REAL = SHARED / "data" / "groundtruth_quality"
+REAL = SHARED / "data" / "groundtruth_doctor"
 TURNS = {
     "handheld": (0.35, 0.35, 0.5), "car": (0.0, 0.0, 1.2), "turntable": (0.0, 0.0, 1.5),
     "rest": (0.0, 0.0, 0.0),
@@ -56,12 +56,12 @@ class ExaminedRig:
     readings: InertialReadings
     motion: Motion
 
-    def errors(self, found: Trajectory) -> tuple[float, float]:
+    def errors(self, result: Trajectory) -> tuple[float, float]:
         """Return the rmse of positions (m) and rotations (rad) of states of the IMU."""
-        seconds = (found.stamps - START_NS) / 1e9
-        apart = found.positions - self.motion.positions(seconds)
-        assert found.rotations is not None
-        rotated = (self.motion.rotations(seconds).inv() * found.rotations).magnitude()
+        seconds = (result.stamps - START_NS) / 1e9
+        apart = result.positions - self.motion.positions(seconds)
+        assert result.rotations is not None
+        rotated = (self.motion.rotations(seconds).inv() * result.rotations).magnitude()
         return (
             float(np.sqrt(np.square(apart).sum(axis=1).mean())),
             float(np.sqrt(np.square(rotated).mean())),

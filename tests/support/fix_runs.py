@@ -8,7 +8,7 @@ from ros_bags import Message
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.geodesy import Datum, places_at
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.encode_messages import encode_fixes
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE

@@ -162,7 +162,7 @@ class Row:
     def unit(self) -> str:
         return str(self.entry["results"][self.quantity]["unit"])
 
-    def ours(self) -> Statistics | None:
+    def computed(self) -> Statistics | None:
         assert self.setting is not None
         evaluation = evaluated(self.pair, self.setting)
         if self.tool == "evo":
@@ -191,7 +191,7 @@ class Row:
         """
         theirs = self.entry["results"][self.quantity]
         try:
-            actual = self.ours()
+            actual = self.computed()
         except TrajevalError as error:
             return f"{self}: {error}"
         if actual is None or actual.count != theirs["pairs"]:

@@ -122,9 +122,9 @@ def messages_of(source: Trajectory, topic: str, kind: str, frame: str = "world")
     if source.velocities is not None and source.rotations is not None:
         velocities = source.rotations.inv().apply(source.velocities)
     covariances: Any = [None] * len(source) if source.covariances is None else source.covariances
-    rates, receptions = np.zeros((len(source), 3)), source.reading.receptions
-    if receptions is not None and receptions.body_rates is not None:
-        rates = receptions.body_rates
+    rates, receive_times = np.zeros((len(source), 3)), source.reading.receive_times
+    if receive_times is not None and receive_times.body_rates is not None:
+        rates = receive_times.body_rates
     return [
         (topic, kind, item[0], odometry_message(*item))
         for item in zip(*columns, velocities, covariances, rates, strict=True)

@@ -157,18 +157,18 @@ class Evaluator:
             )
 
     @property
-    def said(self) -> str:
+    def printed(self) -> str:
         return self._log.read_text()
 
     def wait_for(self, text: str) -> None:
         """Wait until it says something that holds a text."""
-        until(lambda: text in self.said or self.process.poll() is not None, text)
-        assert text in self.said
+        until(lambda: text in self.printed or self.process.poll() is not None, text)
+        assert text in self.printed
 
     def end(self, ending: signal.Signals = signal.SIGINT) -> int:
         self.process.send_signal(ending)
         status = self.process.wait(PATIENCE_S)
-        assert "Traceback" not in self.said, self.said
+        assert "Traceback" not in self.printed, self.printed
         return status
 
     @property
@@ -381,8 +381,8 @@ def play_to_nodes(
         for item in running.values():
             item.process.send_signal(signal.SIGINT)
         for item in running.values():
-            assert item.process.wait(PATIENCE_S) == 0, item.said
-            assert "Traceback" not in item.said, item.said
+            assert item.process.wait(PATIENCE_S) == 0, item.printed
+            assert "Traceback" not in item.printed, item.printed
     return running
 
 

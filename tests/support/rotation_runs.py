@@ -69,12 +69,12 @@ def freedom_numbers(alignment: Alignment) -> list[float]:
     return [freedom.std_deg, *dataclasses.astuple(freedom.orientations)]
 
 
-def rotation_warnings(found: Evaluation) -> list[str]:
+def rotation_warnings(result: Evaluation) -> list[str]:
     words = ("constant rotation", "do not determine", "withheld", "another body")
-    return [warning for warning in found.warnings if any(word in warning for word in words)]
+    return [warning for warning in result.warnings if any(word in warning for word in words)]
 
 
-def rmse(found: Evaluation, metric: str) -> float:
-    statistics = found.ate[metric]
+def rmse(result: Evaluation, metric: str) -> float:
+    statistics = result.ate[metric]
     assert statistics is not None
     return statistics.rmse

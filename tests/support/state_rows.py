@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.online.pairing import PairedStates
@@ -33,7 +33,7 @@ def trajectory(
     arrived: NDArray[np.int64] | None = None,
 ) -> Trajectory:
     """Return rows (N, 10), or (N, 46) with covariances, without what some of them lack."""
-    receptions = None if arrived is None else ReceiveTimes(arrived, "node")
+    receive_times = None if arrived is None else ReceiveTimes(arrived, "node")
     quaternions, velocities, covariances = rows[:, 3:7], rows[:, 7:10], rows[:, 10:]
     return Trajectory.from_columns(
         stamps,
@@ -42,7 +42,7 @@ def trajectory(
         velocities=None if np.isnan(velocities).all() else velocities,
         covariances=covariances.reshape(-1, 6, 6) if covariances.any() else None,
         up=up,
-        reading=SourceInfo(receptions=receptions),
+        reading=SourceInfo(receive_times=receive_times),
     )
 
 

@@ -112,7 +112,7 @@ def make_element(gauge: Gauge, seed: int, *, reach_m: float = 100.0) -> Similari
     rotation, translation, scale = np.eye(3), np.zeros(3), 1.0
     if gauge.has_translation:
         translation = random.uniform(-reach_m, reach_m, size=3)
-    if gauge.turns_about_gravity_only:
+    if gauge.yaw_only:
         angle = random.uniform(-np.pi, np.pi)
         rotation = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
     elif gauge.has_so3:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.geometry.arrays import Floats
 
 
-def turned(times: Floats) -> Rotation:
+def rotated(times: Floats) -> Rotation:
     """Return the orientations at seconds (N,)."""
     angles = 0.8 * np.sin(np.outer(times, [0.9, 0.7, 1.1]) + [0.0, 1.0, 2.0])
     return Rotation.from_euler("zyx", angles)

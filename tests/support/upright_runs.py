@@ -26,7 +26,7 @@ def direction(axis: str) -> Array:
     return unit
 
 
-def standing(trajectory: Trajectory, axis: str, *, said: bool = True) -> Trajectory:
+def standing(trajectory: Trajectory, axis: str, *, states_axis: bool = True) -> Trajectory:
     """Return a trajectory of a z-up world in one that has another axis up."""
     rotation = Rotation.align_vectors([direction(axis)], [[0.0, 0.0, 1.0]])[0]
     assert trajectory.rotations is not None
@@ -37,7 +37,7 @@ def standing(trajectory: Trajectory, axis: str, *, said: bool = True) -> Traject
         quaternions=(rotation * trajectory.rotations).as_quat(),
         velocities=None if velocities is None else rotation.apply(velocities),
         covariances=None,
-        up=UpAxis(axis) if said else Z_UP,
+        up=UpAxis(axis) if states_axis else Z_UP,
     )
 
 

@@ -83,14 +83,14 @@ def test_worlds_and_units_change_nothing(seed: int, gauge: Gauge, way: str, unit
     stretch = Similarity(np.eye(3), np.zeros(3), units)
     rigid = dataclasses.replace(world, scale=1.0)
 
-    def found(a: Trajectory, b: Trajectory) -> Alignment:
+    def detected(a: Trajectory, b: Trajectory) -> Alignment:
         assert a.quaternions is not None
         assert b.quaternions is not None
         orientations = a.quaternions, b.quaternions
         return align(gauge, a.positions, b.positions, orientations=orientations, align_with=way)
 
-    plain = found(truth, estimate)
-    rotated = found(moved(moved(truth, rigid), stretch), moved(moved(estimate, other), stretch))
+    plain = detected(truth, estimate)
+    rotated = detected(moved(moved(truth, rigid), stretch), moved(moved(estimate, other), stretch))
     expected = rigid.rotation @ plain.similarity.rotation @ other.rotation.T
     np.testing.assert_allclose(rotated.similarity.rotation, expected, atol=1e-9)
     scale = plain.similarity.scale / other.scale

@@ -158,8 +158,8 @@ def test_a_point_with_several_poses_counts_once_by_the_nearest(
     )
     result = evaluate(control, Trajectory(stamps, positions), protocol).score
     assert result is not None
-    assert (result.found[0], result.missing) == (len(visited), 12 - len(visited))
-    assert sum(result.found) == len(visited)
+    assert (result.counts[0], result.missing) == (len(visited), 12 - len(visited))
+    assert sum(result.counts) == len(visited)
     assert result.value == pytest.approx(100.0 * len(visited) / 12)
 
 
@@ -190,7 +190,7 @@ def test_hilti_s_table(error_m: float, points: int) -> None:
     assert HILTI.score is not None
     score = HILTI.score.score(np.array([error_m]), 1)
     assert score.value == pytest.approx(5.0 * points)
-    assert sum(score.found) == 1
+    assert sum(score.counts) == 1
     # evaluation-2023 divides the sum of points by a fifth of their number: the same.
     assert HILTI.score.score(np.array([error_m, 1.0]), 4).value == pytest.approx(points / (4 / 5))
 
@@ -340,7 +340,7 @@ def test_scores_are_between_nothing_and_the_best(errors: list[float], missing: i
     if references:
         score = HILTI.score.score(np.array(errors), references)
         assert 0.0 <= score.value <= score.best
-        assert sum(score.found) + score.missing == references
+        assert sum(score.counts) + score.missing == references
 
 
 def test_the_file_in_the_documentation_is_one(tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def test_columns_are_along_the_groundtruths_own_axes() -> None:
     up = UpAxis("-y")
     rotation = Rotation.from_matrix(up.matrix.T)
 
-    def turned(trajectory: Trajectory) -> Trajectory:
+    def rotated_copy(trajectory: Trajectory) -> Trajectory:
         assert trajectory.rotations is not None
         return dataclasses.replace(
             trajectory,
@@ -118,7 +118,7 @@ def test_columns_are_along_the_groundtruths_own_axes() -> None:
 
     request = Request(Protocol(gauge="yaw", lengths=()))
     upright = run(flight.groundtruth, [flight.estimate], request)
-    camera = run(turned(flight.groundtruth), [turned(flight.estimate)], request)
+    camera = run(rotated_copy(flight.groundtruth), [rotated_copy(flight.estimate)], request)
     expected = upright.runs[0].evaluation.to_columns()
     result = camera.runs[0].evaluation.to_columns()
     for name in ("aligned_positions", "position_world_m", "rotation_world_deg"):

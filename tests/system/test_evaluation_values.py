@@ -13,7 +13,7 @@ from strategies import assert_same_numbers, make_element, make_estimate, make_gr
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.gauge import Gauge, Similarity
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association import AssociationRule

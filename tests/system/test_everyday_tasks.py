@@ -17,7 +17,7 @@ from paths import ROOT, TESTS
 
 import trajeval_ros
 from trajeval_ros.cli.app import main
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.save_trajectories import save_trajectories
 from trajeval_ros.io.sources import read_trajectory

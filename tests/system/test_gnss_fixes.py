@@ -21,7 +21,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule, trajectory_of_rows
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum, east_north_up
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag

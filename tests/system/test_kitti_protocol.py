@@ -13,7 +13,7 @@ from strategies import Array, make_groundtruth
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.named_protocols import PROTOCOLS

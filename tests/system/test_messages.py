@@ -196,9 +196,9 @@ def sentences(text: str) -> list[str]:
     return re.split(r"(?<=[.!?])\s|;\s|\n\n|:\n", text)
 
 
-def listed(found: list[str]) -> str:
+def listed(outcome: list[str]) -> str:
     """Return what is wrong, a line each."""
-    return "\n" + "\n".join(found)
+    return "\n" + "\n".join(outcome)
 
 
 @pytest.mark.slow

@@ -78,12 +78,12 @@ def sources(bag: Path) -> tuple[str, str]:
     return f"{bag}:/groundtruth/pose", f"{bag}:/vio/odometry"
 
 
-def without_name(found: dict[str, Any]) -> str:
+def without_name(result: dict[str, Any]) -> str:
     """Return a run as text; its name is chosen by whoever shows it."""
-    assert found["estimate"].pop("name")
-    if found["calibration"] is not None and found["calibration"]["estimated_from"] is not None:
-        assert found["calibration"].pop("estimated_from")
-    return json.dumps(found)
+    assert result["estimate"].pop("name")
+    if result["calibration"] is not None and result["calibration"]["estimated_from"] is not None:
+        assert result["calibration"].pop("estimated_from")
+    return json.dumps(result)
 
 
 @pytest.mark.slow

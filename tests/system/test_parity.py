@@ -122,7 +122,7 @@ def test_fewer_than_two_sub_trajectories_are_no_zeros() -> None:
     too_few = [row for row in ROWS if row.unanswered == parity_calls.TOO_FEW]
     assert too_few
     for row in too_few:
-        actual = row.ours()
+        actual = row.computed()
         assert actual is None or (actual.count == 1 and actual.rmse > 0.0), str(row)
 
 

@@ -170,7 +170,7 @@ def test_estimates_without_common_stamps_have_no_bayes_factor(files: Path, fligh
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--continuous-model", "matern"], "needs --association continuous, not auto"),
         (
@@ -187,11 +187,11 @@ def test_estimates_without_common_stamps_have_no_bayes_factor(files: Path, fligh
     ],
 )
 def test_what_means_nothing_is_refused(
-    files: Path, options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    files: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["evaluate", "-g", str(files / "groundtruth.txt")]
     assert main([*arguments, "-e", str(files / "best.txt"), *options]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_bad_groundtruth_is_said(

@@ -69,10 +69,10 @@ def outcome(
     return run(groundtruth, [estimate], request).runs[0]
 
 
-def mean_nees(found: RunOutcome) -> float:
-    assert found.consistency is not None
-    assert found.consistency.per_pose is not None
-    return found.consistency.per_pose.mean
+def mean_nees(detected: RunOutcome) -> float:
+    assert detected.consistency is not None
+    assert detected.consistency.per_pose is not None
+    return detected.consistency.per_pose.mean
 
 
 @pytest.mark.slow

@@ -42,13 +42,13 @@ def run(
 
 
 def assert_statistics(
-    ours: Statistics | None, theirs: dict[str, float], relative: float, absolute: float
+    actual: Statistics | None, theirs: dict[str, float], relative: float, absolute: float
 ) -> None:
-    assert ours is not None
-    assert ours.count == theirs["num_samples"]
+    assert actual is not None
+    assert actual.count == theirs["num_samples"]
     for name in ("rmse", "mean", "median", "std", "min", "max"):
         expected = pytest.approx(theirs[name], rel=relative, abs=absolute)
-        assert getattr(ours, name) == expected, name
+        assert getattr(actual, name) == expected, name
 
 
 @pytest.mark.slow

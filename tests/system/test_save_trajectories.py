@@ -15,8 +15,8 @@ from strategies import SAME_ROTATION_RAD, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.stamp_trust import LONE, OutlierStamps
+from trajeval_ros.geometry.outlier_stamps import LONE, OutlierStamps
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.encode_messages import (
     encode_odometry,

@@ -87,7 +87,7 @@ def test_the_gallery_draws_its_pictures(site: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "found"),
+    ("name", "text", "outcome"),
     [
         ("a.html", '<a href="https://x.org">x</a><img src="a.png">', 0),
         ("a.html", '<link rel="canonical" href="https://x.org/a.html">', 0),
@@ -102,9 +102,9 @@ def test_the_gallery_draws_its_pictures(site: Any, tmp_path: Path) -> None:
     ],
 )
 def test_what_is_fetched_from_elsewhere_is_found(
-    name: str, text: str, found: int, site: Any
+    name: str, text: str, outcome: int, site: Any
 ) -> None:
-    assert len(site("offline").fetched_from_elsewhere(name, text)) == found
+    assert len(site("offline").fetched_from_elsewhere(name, text)) == outcome
 
 
 def test_a_site_is_searched_for_it(tmp_path: Path, site: Any) -> None:

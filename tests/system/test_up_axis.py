@@ -51,14 +51,14 @@ def test_turning_is_a_rotation_that_brings_the_axis_to_z(axis: str) -> None:
     assert np.linalg.det(up.matrix) == pytest.approx(1.0)
     np.testing.assert_array_equal(up.matrix @ direction(axis), [0.0, 0.0, 1.0])
     vectors = np.random.default_rng(0).normal(size=(5, 3))
-    np.testing.assert_array_equal(up.turned(vectors), vectors @ up.matrix.T)
+    np.testing.assert_array_equal(up.to_z_up(vectors), vectors @ up.matrix.T)
     across, onward = (np.eye(3)[item] for item in up.level)
     np.testing.assert_array_equal(np.cross(across, onward), direction(axis))
 
 
 def test_turning_leaves_what_it_was_given_as_it_was() -> None:
     vectors = np.array([[1.0, 2.0, 3.0]])
-    UpAxis("-y").turned(vectors)
+    UpAxis("-y").to_z_up(vectors)
     np.testing.assert_array_equal(vectors, [[1.0, 2.0, 3.0]])
 
 

@@ -30,7 +30,7 @@ from trajeval_ros.pipeline.request import Request
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 
-def turned(trajectory: Trajectory, angle_deg: float) -> Trajectory:
+def rotated(trajectory: Trajectory, angle_deg: float) -> Trajectory:
     """Return a trajectory in a world that leans about x."""
     assert trajectory.rotations is not None
     lean = Rotation.from_euler("x", angle_deg, degrees=True)
@@ -63,11 +63,13 @@ def test_a_vehicle_on_a_hill_is_believed(seed: int, slope_deg: float) -> None:
 def test_flights_walls_lines_and_sheer_positions_are_believed(seed: int) -> None:
     flight = simulate(seed=seed, duration_s=40.0)
     straight = along_line(np.linspace(0.0, 80.0, 400), [1.0, 0.4, 0.0], noise_m=0.02)
-    sideways = standing(car(seed, count=30), "-y", said=False)  # it has hardly turned
+    sideways = standing(car(seed, count=30), "-y", states_axis=False)  # it has hardly turned
     for item in (flight.groundtruth, on_a_wall(seed), straight, sideways):
         assert up_axis_doubt(item) == ""
     assert (
-        up_axis_doubt(dataclasses.replace(standing(car(seed), "x", said=False), quaternions=None))
+        up_axis_doubt(
+            dataclasses.replace(standing(car(seed), "x", states_axis=False), quaternions=None)
+        )
         == ""
     )
 
@@ -75,7 +77,7 @@ def test_flights_walls_lines_and_sheer_positions_are_believed(seed: int) -> None
 @settings(max_examples=60)
 @given(seed=seeds, axis=st.sampled_from(["x", "-x", "y", "-y"]), slope_deg=st.floats(-15.0, 15.0))
 def test_a_vehicle_across_another_axis_is_doubted(seed: int, axis: str, slope_deg: float) -> None:
-    truth = standing(car(seed, slope_deg=slope_deg), axis, said=False)
+    truth = standing(car(seed, slope_deg=slope_deg), axis, states_axis=False)
     assert f"--up=-{axis[-1]} or --up={axis[-1]};" in up_axis_doubt(truth)
     assert (
         up_axis_doubt(dataclasses.replace(truth, up=UpAxis("z"))) == ""
@@ -84,7 +86,7 @@ def test_a_vehicle_across_another_axis_is_doubted(seed: int, axis: str, slope_de
 
 
 def test_an_estimate_that_turns_about_z_keeps_its_axis() -> None:
-    truth = standing(car(1), "y", said=False)
+    truth = standing(car(1), "y", states_axis=False)
     assert "set --up=y,z or --up=-y,z;" in up_axis_doubt(truth, car(1))
     assert "set --up=-y or --up=y;" in up_axis_doubt(truth, truth)
     positions = dataclasses.replace(car(1), quaternions=None)
@@ -94,7 +96,7 @@ def test_an_estimate_that_turns_about_z_keeps_its_axis() -> None:
 
 
 def test_a_wrong_up_axis_and_other_times_are_one_sentence() -> None:
-    truth = standing(car(1), "y", said=False)
+    truth = standing(car(1), "y", states_axis=False)
     later = dataclasses.replace(car(1), stamps=car(1).stamps + 10**18)
     request = Request(Protocol(gauge="yaw"), CalibrationRequest(offset=True))
     with pytest.raises(InputError, match="needs the vertical axis"):
@@ -139,13 +141,13 @@ def test_a_format_is_doubted_as_well() -> None:
 
 
 def test_a_frame_that_leans_has_no_axis_to_name() -> None:
-    assert "which is not an axis" in up_axis_doubt(turned(car(1), 52.0))
+    assert "which is not an axis" in up_axis_doubt(rotated(car(1), 52.0))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["default", "rpg", "evo", "kitti"])
 def test_yaw_and_tilt_are_withheld_and_nothing_else(protocol: str) -> None:
-    truth = standing(car(1, count=1500), "-y", said=False)
+    truth = standing(car(1, count=1500), "-y", states_axis=False)
     rule = protocol_from(protocol, lengths="5,10")
     doubted = evaluate(truth, erring(truth), rule)
     believed = evaluate(dataclasses.replace(truth, up=UpAxis("z")), erring(truth), rule)
@@ -164,7 +166,7 @@ def test_yaw_and_tilt_are_withheld_and_nothing_else(protocol: str) -> None:
 
 @pytest.mark.parametrize("gauge", ["yaw", "planar"])
 def test_no_alignment_about_what_is_not_up(gauge: str) -> None:
-    truth = standing(car(1), "-y", said=False)
+    truth = standing(car(1), "-y", states_axis=False)
     estimate = erring(truth)
     protocol = Protocol(gauge=gauge)
     for evaluated in (
@@ -180,7 +182,7 @@ def test_no_alignment_about_what_is_not_up(gauge: str) -> None:
 
 
 def test_a_live_run_doubts_as_well(tmp_path: Path) -> None:
-    truth = standing(car(5), "-y", said=False)
+    truth = standing(car(5), "-y", states_axis=False)
     both = [*messages_of(truth, GROUNDTRUTH, POSE), *messages_of(erring(truth), ESTIMATE, POSE)]
     both.sort(key=lambda item: item[2])
     live = Live(tmp_path / "live", POSE, gauge="se3")

@@ -42,7 +42,7 @@ def other_body() -> Sides:
 
 
 def other_up_axis() -> Sides:
-    truth = standing(car(1), "-y", said=False)
+    truth = standing(car(1), "-y", states_axis=False)
     return truth, erring(truth)
 
 

@@ -411,13 +411,13 @@ def test_server_listens_only_at_its_address(port: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         ("serve:{port}", "port {port}: address already in use"),
         ("file", "run.rrd can't be written: is a directory"),
     ],
 )
-def test_sink_that_cannot_be_had(value: str, said: str, tmp_path: Path) -> None:
+def test_sink_that_cannot_be_had(value: str, message: str, tmp_path: Path) -> None:
     if value == "file":
         (tmp_path / "run.rrd").mkdir()
     with socket.socket() as taken:
@@ -425,7 +425,7 @@ def test_sink_that_cannot_be_had(value: str, said: str, tmp_path: Path) -> None:
         taken.listen()
         port = taken.getsockname()[1]
         report = Driver(value.format(port=port), tmp_path, seconds=5.0).report()
-    assert said.format(port=port) in report["trouble"][-1]
+    assert message.format(port=port) in report["trouble"][-1]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from state_rows import as_drawn, states, trajectory
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.remarks import Level, Remark
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_available
 from trajeval_ros.metrics.discontinuities.events import ESTIMATE, FROZEN, Loss
 from trajeval_ros.metrics.evaluation import Evaluation
@@ -64,7 +64,7 @@ def evaluated(
 def available_errors(evaluation: Evaluation) -> AsAvailable:
     """Return the as-available errors of poses that are received 0.1 s after their timestamps."""
     estimate, times = evaluation.estimate, ReceiveTimes(evaluation.estimate.stamps + 100_000_000)
-    reading = dataclasses.replace(estimate.reading, receptions=times)
+    reading = dataclasses.replace(estimate.reading, receive_times=times)
     return as_available(
         evaluation.groundtruth,
         dataclasses.replace(estimate, reading=reading),
@@ -516,12 +516,12 @@ def test_file_that_cannot_be_written(
 
 @needs_rerun
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "printed"),
     [(b"RRF2", "no display found; use --web"), (b"pairs", "is not a Rerun file")],
 )
 def test_view_says_what_is_wrong(
     content: bytes,
-    said: str,
+    printed: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -530,7 +530,7 @@ def test_view_says_what_is_wrong(
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "run.rrd").write_bytes(content)
     assert main(["view", str(tmp_path)]) == 2
-    assert said in capsys.readouterr().err
+    assert printed in capsys.readouterr().err
 
 
 @needs_rerun
@@ -544,12 +544,14 @@ def test_screenshot_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFix
     assert {path.name for path in tmp_path.iterdir()} == {"run.rrd"}
 
 
-@pytest.mark.parametrize(("name", "said"), [("nothing", "does not exist"), ("", "no run.rrd in")])
+@pytest.mark.parametrize(
+    ("name", "printed"), [("nothing", "does not exist"), ("", "no run.rrd in")]
+)
 def test_view_says_what_it_needs(
-    name: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, printed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["view", str(tmp_path / name)]) == 2
-    assert said in capsys.readouterr().err
+    assert printed in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("begin_ns", "kind"), [(0, "duration"), (1_700_000_000 * 10**9, "date")])

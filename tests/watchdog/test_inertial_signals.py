@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from turning_body import places, turned
+from turning_body import places, rotated
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.watchdog import inertial_signals
@@ -28,11 +28,11 @@ def readings() -> Floats:
     """Return IMU rows of 200 Hz: exact up to the differences of a fraction of a step."""
     clock = np.arange(-0.5, END_S + 1.0, 0.005)
     times, step = clock - OFFSET_S, 1e-3
-    before, after = turned(times - step), turned(times + step)
+    before, after = rotated(times - step), rotated(times + step)
     rates = (before.inv() * after).as_rotvec() / (2.0 * step)
     ahead, here, behind = (places(times + item) for item in (step, 0.0, -step))
     force = (ahead - 2.0 * here + behind) / step**2 + [0.0, 0.0, GRAVITY]
-    body = turned(times).inv().apply(force)
+    body = rotated(times).inv().apply(force)
     return OrderedFeed().rows(clock, MOUNTED.inv().apply(rates) + BIAS, MOUNTED.inv().apply(body))
 
 
@@ -51,7 +51,7 @@ def since_fault(times: Floats) -> Floats:
 
 
 def test_an_exact_motion_has_no_error() -> None:
-    result = signals_of(turned(TIMES), places(TIMES))
+    result = signals_of(rotated(TIMES), places(TIMES))
     assert set(result) == {"gyro_deg_1s", "gyro_deg_20s", "gravity_mps2_5s"}
     for name, limit in (("gyro_deg_1s", 1e-3), ("gyro_deg_20s", 1e-2), ("gravity_mps2_5s", 1e-3)):
         seconds, values = result[name]
@@ -70,7 +70,7 @@ def test_a_step_of_the_orientation_is_seen_for_the_length_of_the_windows(degrees
     rotation = Rotation.from_rotvec(
         np.radians(degrees) * np.outer(TIMES >= FAULT_S, [1.0, 2.0, -2.0]) / 3.0
     )
-    result = signals_of(rotation * turned(TIMES), places(TIMES))
+    result = signals_of(rotation * rotated(TIMES), places(TIMES))
     for name, window_s in (("gyro_deg_1s", 1.0), ("gyro_deg_20s", 20.0)):
         seconds, values = result[name]
         inside = (seconds > FAULT_S - 1e-6) & (seconds < FAULT_S + window_s - 1e-6)
@@ -82,7 +82,7 @@ def test_a_drift_of_the_orientation_grows_with_the_window() -> None:
     rotation = Rotation.from_rotvec(
         np.radians(0.3) * np.outer(since_fault(TIMES), [0.0, 0.0, 1.0])
     )
-    result = signals_of(rotation * turned(TIMES), places(TIMES))
+    result = signals_of(rotation * rotated(TIMES), places(TIMES))
     for name, window_s in (("gyro_deg_1s", 1.0), ("gyro_deg_20s", 20.0)):
         seconds, values = result[name]
         expected = 0.3 * np.minimum(since_fault(seconds), window_s)
@@ -94,10 +94,10 @@ def test_a_wrong_acceleration_is_seen_as_far_as_it_is_in_the_window(extra: float
     """A velocity is valid in the middle of the two steps of which it is the mean."""
     along = np.array([0.6, 0.0, -0.8])
     positions = places(TIMES) + 0.5 * extra * np.outer(since_fault(TIMES) ** 2, along)
-    seconds, values = signals_of(turned(TIMES), positions)["gravity_mps2_5s"]
+    seconds, values = signals_of(rotated(TIMES), positions)["gravity_mps2_5s"]
     expected = extra * np.minimum(since_fault(seconds - 0.05), 5.0) / 5.0
     np.testing.assert_allclose(values, expected, rtol=0.003, atol=0.001 + 0.003 * extra)
-    rotations = signals_of(turned(TIMES), positions)["gyro_deg_20s"].values
+    rotations = signals_of(rotated(TIMES), positions)["gyro_deg_20s"].values
     assert rotations.max() < 0.01
 
 
@@ -114,21 +114,21 @@ def test_errors_count_as_far_as_the_mounting_is_known(monkeypatch: pytest.Monkey
     degrees = 2.0 * (TIMES >= FAULT_S)
     rotation = Rotation.from_rotvec(np.radians(np.outer(degrees, [0.0, 0.0, 1.0])))
     positions = places(TIMES) + 0.5 * np.outer(since_fault(TIMES) ** 2, [0.0, 1.0, 0.0])
-    result = signals_of(rotation * turned(TIMES), positions)
+    result = signals_of(rotation * rotated(TIMES), positions)
     seconds, values = result["gravity_mps2_5s"]
     late = seconds > FAULT_S + 6.0
-    up = turned(seconds).inv().apply([0.0, 0.0, 1.0])
+    up = rotated(seconds).inv().apply([0.0, 0.0, 1.0])
     variance = np.trace(spread) - np.einsum("ni,ij,nj->n", up, spread, up)
     floor = np.radians(0.3)
     # The orientations are turned about the vertical, and with them the force and its integral.
     share = floor / np.sqrt(floor**2 + variance)
     assert np.ptp(share[late]) > 0.1
-    known = signals_without(monkeypatch, rotation * turned(TIMES), positions)["gravity_mps2_5s"]
+    known = signals_without(monkeypatch, rotation * rotated(TIMES), positions)["gravity_mps2_5s"]
     np.testing.assert_allclose(values[late], (known.values * share)[late], rtol=2e-3)
     for name, window_s in (("gyro_deg_1s", 1.0), ("gyro_deg_20s", 20.0)):
         seconds, values = result[name]
         inside = (seconds > FAULT_S - 1e-6) & (seconds < FAULT_S + window_s - 1e-6)
-        before, after = turned(seconds[inside] - window_s), turned(seconds[inside])
+        before, after = rotated(seconds[inside] - window_s), rotated(seconds[inside])
         back = (before.inv() * after).inv()
         axis = after.inv().apply([0.0, 0.0, 1.0])
         reach = axis - back.inv().apply(axis)  # (I - P')' u
@@ -156,7 +156,7 @@ def test_portions_with_another_clock_give_the_same(late_s: float) -> None:
     rotation = Rotation.from_rotvec(
         np.radians(0.3) * np.outer(since_fault(TIMES), [0.0, 0.0, 1.0])
     )
-    quaternions = (rotation * turned(TIMES)).as_quat()
+    quaternions = (rotation * rotated(TIMES)).as_quat()
     states, imu = OrderedFeed().rows(TIMES, places(TIMES), quaternions), readings()
     signals, parts = InertialSignals(PERIOD_S, ARMED_S), []
     for begin in np.arange(-1.0, END_S + 3.0, 2.0):
@@ -166,7 +166,7 @@ def test_portions_with_another_clock_give_the_same(late_s: float) -> None:
             parts.append(signals.add_other(imu[heard]))
         if told.any():
             parts.append(signals.add(states[told]))
-    whole = signals_of(rotation * turned(TIMES), places(TIMES))
+    whole = signals_of(rotation * rotated(TIMES), places(TIMES))
     for name, result in joined(parts).items():
         # What the last readings cover.
         count = len(whole[name].seconds)
@@ -182,7 +182,7 @@ def test_twenty_states_a_second_after_the_first_reading_are_needed(
     signals = InertialSignals(PERIOD_S, ARMED_S)
     imu = readings()[readings()[:, 0] >= begin_s]
     signals.add_other(OrderedFeed().rows(imu[:, 0], imu[:, 2:5], imu[:, 5:8]))
-    signals.add(OrderedFeed().rows(TIMES, places(TIMES), turned(TIMES).as_quat()))
+    signals.add(OrderedFeed().rows(TIMES, places(TIMES), rotated(TIMES).as_quat()))
     few = "too little IMU data during the motion before arming: the IMU is not compared"
     assert (few in signals.notices) != is_enough
 
@@ -193,13 +193,13 @@ def test_windows_begin_after_gaps() -> None:
     signals = InertialSignals(PERIOD_S, ARMED_S)
     signals.add_other(readings())
     result = signals.add(
-        OrderedFeed().rows(TIMES[kept], places(TIMES)[kept], turned(TIMES)[kept].as_quat())
+        OrderedFeed().rows(TIMES[kept], places(TIMES)[kept], rotated(TIMES)[kept].as_quat())
     )
     clock = readings()[:, 0]
     heard = (clock < 60.0 + OFFSET_S) | (clock > 63.0 + OFFSET_S)
     columns = readings()[heard]
     rows = OrderedFeed().rows(columns[:, 0], columns[:, 2:5], columns[:, 5:8])
-    other = signals_of(turned(TIMES), places(TIMES), rows)
+    other = signals_of(rotated(TIMES), places(TIMES), rows)
     for signals_found in (result, other):
         for name, first in (("gyro_deg_1s", 1.0), ("gravity_mps2_5s", 5.1)):
             seconds = signals_found[name].seconds

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from turning_body import places, turned
+from turning_body import places, rotated
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.watchdog import pair_signals
@@ -25,8 +25,8 @@ WINDOWS_S = (5.0, 20.0)
 
 def partner(times: Floats) -> Floats:
     """Return the second estimate: of another frame, body and scale, without an error."""
-    positions = FRAME.apply(places(times) + turned(times).apply(LEVER)) / SCALE + MOVED
-    return OrderedFeed().rows(times, positions, (FRAME * turned(times) * BODY).as_quat())
+    positions = FRAME.apply(places(times) + rotated(times).apply(LEVER)) / SCALE + MOVED
+    return OrderedFeed().rows(times, positions, (FRAME * rotated(times) * BODY).as_quat())
 
 
 def signals_of(turns: Rotation, positions: Floats, source: str = "pair") -> Signals:
@@ -45,7 +45,7 @@ def test_the_body_of_a_partner_is_found_exactly(monkeypatch: pytest.MonkeyPatch)
         return result[-1][0]
 
     monkeypatch.setattr(pair_signals, "body_difference", kept)
-    signals = signals_of(turned(TIMES), places(TIMES), "pair.wheel")
+    signals = signals_of(rotated(TIMES), places(TIMES), "pair.wheel")
     assert sorted(signals) == sorted(
         f"pair_{name}s.wheel" for name in ("percent_5", "percent_20", "deg_5", "deg_20")
     )
@@ -64,7 +64,7 @@ def test_a_step_of_the_orientation_is_seen_for_the_length_of_the_windows() -> No
     rotation = Rotation.from_rotvec(
         np.radians(2.0) * np.outer(TIMES >= FAULT_S, [1.0, 2.0, -2.0]) / 3
     )
-    result = signals_of(rotation * turned(TIMES), places(TIMES))
+    result = signals_of(rotation * rotated(TIMES), places(TIMES))
     for window_s in WINDOWS_S:
         seconds, values = result[f"pair_deg_{window_s:g}s"]
         assert seconds[0] == pytest.approx(window_s)
@@ -78,7 +78,7 @@ def test_a_step_of_the_orientation_is_seen_for_the_length_of_the_windows() -> No
 def test_a_step_of_the_position_is_a_part_of_the_path(size: float) -> None:
     """One metre longer, so that a robot at rest has no infinite error."""
     step = size * np.outer(TIMES >= FAULT_S, [0.6, 0.0, -0.8])
-    result = signals_of(turned(TIMES), places(TIMES) + step)
+    result = signals_of(rotated(TIMES), places(TIMES) + step)
     moved = np.zeros(len(TIMES))
     moved[10:] = np.linalg.norm(places(TIMES)[10:] - places(TIMES)[:-10], axis=1)
     path = PERIOD_S * np.cumsum(moved)
@@ -107,15 +107,15 @@ def test_errors_count_as_far_as_the_body_is_known(monkeypatch: pytest.MonkeyPatc
                 body_difference(*given, **options), covariance=covariance
             ),
         )
-        both = signals_of(turned(TIMES), places(TIMES) + step)
-        angles = signals_of(rotation * turned(TIMES), places(TIMES))
+        both = signals_of(rotated(TIMES), places(TIMES) + step)
+        angles = signals_of(rotation * rotated(TIMES), places(TIMES))
         made.append({**both, **{name: angles[name] for name in both if "deg" in name}})
     for window_s in WINDOWS_S:
         name, floor = f"pair_percent_{window_s:g}s", 0.01 + 0.005 * window_s
         seconds = made[0][name].seconds
         inside = (seconds > FAULT_S - 1e-6) & (seconds < FAULT_S + window_s - 1e-6)
         times = seconds[inside]
-        start, end = turned(times - window_s), turned(times)
+        start, end = rotated(times - window_s), rotated(times)
         along = start.inv().apply([0.6, 0.0, -0.8])
         moved = start.inv().apply(
             places(times) + end.apply(LEVER) - places(times - window_s) - start.apply(LEVER)
@@ -145,6 +145,6 @@ def test_twenty_windows_before_arming_are_needed(begin_s: float, *, is_enough: b
     """Of 2 s, that end before 30 s. Those of states from 26 s on are twenty."""
     signals = PairSignals("pair", PERIOD_S, ARMED_S)
     signals.add_other(partner(np.arange(begin_s, END_S, 0.05)))
-    signals.add(OrderedFeed().rows(TIMES, places(TIMES), turned(TIMES).as_quat()))
+    signals.add(OrderedFeed().rows(TIMES, places(TIMES), rotated(TIMES).as_quat()))
     assert signals.usable == is_enough
     assert bool(signals.notices) != is_enough

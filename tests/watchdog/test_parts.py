@@ -219,15 +219,15 @@ def test_what_is_not_detected_is_said_once() -> None:
 
 
 def test_remarks_about_an_imu_need_a_difference_that_matters() -> None:
-    def said(turn_deg: float, offset_s: float, axis: Floats | None = None) -> list[str]:
+    def printed(turn_deg: float, offset_s: float, axis: Floats | None = None) -> list[str]:
         rotation = lie.from_rotation_vector(np.radians([turn_deg, 0.0, 0.0]))
         return Mounting(rotation, np.zeros(3), offset_s, axis, 0.1, np.eye(6)).remarks()
 
-    assert said(4.9, 0.049) == said(-4.9, -0.049) == []
-    assert [item[:37] for item in said(5.1, 0.0)] == ["the IMU frame is rotated by 5.1 deg f"]
-    assert said(0.0, 0.051) == ["the estimate's clock is 0.051 s behind the IMU's (applied)"]
-    assert said(0.0, -0.051) == ["the estimate's clock is 0.051 s ahead of the IMU's (applied)"]
-    assert [item[:40] for item in said(9.0, 0.0, np.ones(3))] == [
+    assert printed(4.9, 0.049) == printed(-4.9, -0.049) == []
+    assert [item[:37] for item in printed(5.1, 0.0)] == ["the IMU frame is rotated by 5.1 deg f"]
+    assert printed(0.0, 0.051) == ["the estimate's clock is 0.051 s behind the IMU's (applied)"]
+    assert printed(0.0, -0.051) == ["the estimate's clock is 0.051 s ahead of the IMU's (applied)"]
+    assert [item[:40] for item in printed(9.0, 0.0, np.ones(3))] == [
         "the robot rotated about only one axis: t"
     ]
     related = Mounting(UPRIGHT, np.zeros(3), 0.0, None, 0.499, np.eye(6))

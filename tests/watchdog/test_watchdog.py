@@ -17,7 +17,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.inertial import InertialReadings
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.watchdog.engine import Watchdog
 from trajeval_ros.watchdog.pair_signals import body_difference
 from trajeval_ros.watchdog.recording import Watched, WatchedRun, watched
@@ -36,12 +36,12 @@ def seen() -> Watched:
     return watched(flight())
 
 
-def assert_same(found: Signals, expected: Signals, tolerance: float = 1e-9) -> None:
-    assert found.keys() == expected.keys()
+def assert_same(outcome: Signals, expected: Signals, tolerance: float = 1e-9) -> None:
+    assert outcome.keys() == expected.keys()
     for name, (seconds, values) in expected.items():
-        np.testing.assert_allclose(found[name].seconds, seconds, atol=1e-9)
+        np.testing.assert_allclose(outcome[name].seconds, seconds, atol=1e-9)
         np.testing.assert_allclose(
-            found[name].values, values, rtol=tolerance, atol=tolerance, err_msg=name
+            outcome[name].values, values, rtol=tolerance, atol=tolerance, err_msg=name
         )
 
 
@@ -374,14 +374,14 @@ def test_a_twist_in_the_worlds_axes_is_said_and_not_judged() -> None:
     assert "twist_m_5s" not in result.signals
 
 
-@pytest.mark.parametrize(("factor", "said"), [(3.6, "3.6 times"), (0.5, "0.5 times")])
-def test_the_factor_of_a_twist_is_said(factor: float, said: str) -> None:
+@pytest.mark.parametrize(("factor", "message"), [(3.6, "3.6 times"), (0.5, "0.5 times")])
+def test_the_factor_of_a_twist_is_said(factor: float, message: str) -> None:
     estimate = flight().estimate
     assert estimate.velocities is not None
     wrong = dataclasses.replace(estimate, velocities=factor * estimate.velocities)
     result = watched(WatchedRun(wrong))
     (notice,) = [item for item in result.notices if "times the motion of the pose" in item]
-    assert said in notice
+    assert message in notice
     assert ("as if it were in km/h" in notice) is (factor == 3.6)
     assert not any("times the motion" in item for item in seen().notices)
 

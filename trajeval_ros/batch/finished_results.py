@@ -246,8 +246,8 @@ def _record(result: _Result, key: str) -> Record:
         stamps,
         arrays["position_m"],
         arrays.get("rotation_deg"),
-        up.turned(aligned),
-        (stamps, up.turned(groundtruth)),
+        up.to_z_up(aligned),
+        (stamps, up.to_z_up(groundtruth)),
         result.settings["max_gap"],
     )
     pooled = {name: arrays[name] for name in of_length if name in arrays}

@@ -117,8 +117,8 @@ def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Floa
         pairs.groundtruth.stamps,
         evaluation.absolute.position_m,
         evaluation.absolute.rotation_deg,
-        groundtruth.up.turned(evaluation.aligned.positions),
-        (groundtruth.stamps, groundtruth.up.turned(groundtruth.positions)),
+        groundtruth.up.to_z_up(evaluation.aligned.positions),
+        (groundtruth.stamps, groundtruth.up.to_z_up(groundtruth.positions)),
         evaluation.protocol.association.max_gap_s,
     )
 

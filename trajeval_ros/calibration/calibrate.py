@@ -139,7 +139,7 @@ def calibrate(
         ('significant', -0.1)
     """
     gauge = Gauge.of(gauge)
-    if gauge.turns_about_gravity_only:
+    if gauge.yaw_only:
         groundtruth, estimate = upright(groundtruth), upright(estimate)
     for name, side in (("groundtruth", groundtruth), ("estimate", estimate)):
         if not side.reading.stamped:

@@ -43,14 +43,14 @@ def robust_rotation(targets: Floats, vectors: Floats, *, about_z: bool = False) 
 
 
 def lever_arm(
-    turned: Floats, steps: Floats, marker_steps: Floats, *, with_scale: bool
+    rotation_changes: Floats, steps: Floats, marker_steps: Floats, *, with_scale: bool
 ) -> tuple[Floats, float]:
     """Return the lever arm (3,), metres, and the scale: R_X dq = c dp + (dR - I) l.
 
     `turned` (N, 3, 3) is dR - I of the body, `steps` (N, 3) is dp in the body's axes at the start,
     and `marker_steps` (N, 3) is R_X dq in the same axes, metres. The scale is 1 if not estimated.
     """
-    design = turned.reshape(-1, 3)
+    design = rotation_changes.reshape(-1, 3)
     target = marker_steps.reshape(-1)
     if not with_scale:
         target = target - steps.reshape(-1)

@@ -172,7 +172,7 @@ class Increments:
         self._till = (stamps[self._last] - stamps[0]) / NANOSECONDS
         self._mid_s = (int(stamps[-1]) - int(stamps[0])) / NANOSECONDS / 2.0
         self._body = self._motion(poses, stamps[self._first], stamps[self._last])
-        self.turned = self._turned()
+        self.body_rotation_change = self._rotated()
 
     def __len__(self) -> int:
         return len(self._first)
@@ -195,7 +195,10 @@ class Increments:
             lie.rotation_vector(self._body.turns[known]), lie.rotation_vector(marker.turns[known])
         )
         lever_m, scale = lever_arm(
-            self.turned[known], steps, marker_steps @ rotation.T, with_scale=with_scale
+            self.body_rotation_change[known],
+            steps,
+            marker_steps @ rotation.T,
+            with_scale=with_scale,
         )
         return replace(start, turn=rotation, lever_m=lever_m, scale=scale)
 
@@ -210,7 +213,7 @@ class Increments:
         slope = self._residual(at, after, rows) - self._residual(at, before, rows)
         jacobian[..., 0] = slope / (2.0 * _REACH_S)
         jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
-        steps, rotated = self._body.steps[rows], self.turned[rows]
+        steps, rotated = self._body.steps[rows], self.body_rotation_change[rows]
         if marker.turns is None:
             jacobian[:, POSITION, TURN] = so3.skew(self._carried(at, rows) @ at.turn.T)
             jacobian[:, POSITION, LEVER] = -at.turn @ rotated
@@ -251,7 +254,7 @@ class Increments:
             rotated -= lie.rotation_vector(lie.multiply(before.turns, inverse))
             jacobian[:, ROTATION, 0] = rotated / (2.0 * reach_s)
             jacobian[:, POSITION, TURN] = -so3.skew(self._carried(at, rows))
-            jacobian[:, ROTATION, TURN] = -self.turned[rows]
+            jacobian[:, ROTATION, TURN] = -self.body_rotation_change[rows]
             marker_turned = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T - np.eye(3)
             jacobian[:, POSITION, LEVER] = -marker_turned
             steps = marker.steps[rows] @ at.turn.T - marker_turned @ at.lever_m
@@ -286,7 +289,7 @@ class Increments:
             lie.multiply(back, end.quaternions), lie.rotate(back, steps), usable
         )
 
-    def _turned(self) -> Floats:
+    def _rotated(self) -> Floats:
         """Return dR - I, or R_j - R_i for increments without orientations, (N, 3, 3)."""
         if self._body.turns is not None:
             return _matrices(self._body.turns) - np.eye(3)
@@ -312,7 +315,9 @@ class Increments:
 
     def _carried(self, at: Unknowns, rows: NDArray[np.int64]) -> Floats:
         """Return c dp + (dR - I) l of the body, (N, 3)."""
-        carried: Floats = at.scale * self._body.steps[rows] + self.turned[rows] @ at.lever_m
+        carried: Floats = (
+            at.scale * self._body.steps[rows] + self.body_rotation_change[rows] @ at.lever_m
+        )
         return carried
 
     def _marker_step(self, at: Unknowns, body: MotionIncrements) -> Floats:

@@ -71,7 +71,7 @@ def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
         for name, columns in blocks.items()
     }
     if increments.has_lever and not increments.has_turns:
-        by_name["lever"] = _turning(increments.turned[rows])
+        by_name["lever"] = _turning(increments.body_rotation_change[rows])
     return by_name
 
 
@@ -99,10 +99,10 @@ def _directions(
     return Directions(directions, np.clip(reliability, -1.0, 1.0))
 
 
-def _turning(turned: Floats) -> Directions:
+def _turning(changes: Floats) -> Directions:
     """Return the directions of a lever arm; reliability 1 if they rotate enough, else 0."""
     values, vectors = np.linalg.eigh(
-        np.einsum("nab,nac->bc", turned, turned) / max(len(turned), 1)
+        np.einsum("nab,nac->bc", changes, changes) / max(len(changes), 1)
     )
     enough = np.sqrt(np.maximum(values, 0.0)) >= _LEAST_TURN
     return Directions(vectors.T, enough.astype(np.float64))

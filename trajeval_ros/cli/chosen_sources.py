@@ -12,7 +12,7 @@ from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import note
-from trajeval_ros.geometry.reading import ASSUMED
+from trajeval_ros.geometry.source_info import ASSUMED
 from trajeval_ros.io.sources import parse_source
 
 if TYPE_CHECKING:

@@ -336,8 +336,9 @@ def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool
             if remark.level < Level.ERROR:
                 kind = remark.level.name.lower()
                 remarks.remark(kind, f"{item.trajectory.name}: {remark.text}")
-        if item.alignment is not None and item.alignment.untrustworthy:
-            remarks.remark(WARNING, f"{item.trajectory.name}: {item.alignment.untrustworthy}")
+        why = "" if item.alignment is None else item.alignment.why_rotation_withheld
+        if why:
+            remarks.remark(WARNING, f"{item.trajectory.name}: {why}")
     for trajectory in read:
         for line in trajectory.reading.messages(Level.ERROR):
             remarks.remark(WARNING, f"{trajectory.name}: {line}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.reading import NAMED_COLUMNS
+from trajeval_ros.geometry.source_info import NAMED_COLUMNS
 from trajeval_ros.io.requests.setting import (
     COMPARE,
     EVALUATE,

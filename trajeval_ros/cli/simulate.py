@@ -208,10 +208,10 @@ def _covariance_of(bag: Path) -> Path:
 def _topics(
     groundtruth: Trajectory, estimate: Trajectory, seed: int, *, slow: bool = False
 ) -> dict[str, tuple[Trajectory, str]]:
-    """Return the trajectories by topic; the estimate with its times of reception."""
-    from trajeval_ros.simulation.simulated_delays import SLOW, USUAL, with_receptions
+    """Return the trajectories by topic; the estimate with its receive times."""
+    from trajeval_ros.simulation.simulated_delays import SLOW, USUAL, with_receive_times
 
-    estimate = with_receptions(estimate, SLOW if slow else USUAL, seed)
+    estimate = with_receive_times(estimate, SLOW if slow else USUAL, seed)
     return {
         GROUNDTRUTH_TOPIC: (groundtruth, "geometry_msgs/msg/PoseStamped"),
         ESTIMATE_TOPIC: (estimate, "nav_msgs/msg/Odometry"),

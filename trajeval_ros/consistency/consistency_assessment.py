@@ -122,8 +122,8 @@ def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> AlignedState
         raise SettingsError(
             "the consistency test needs an alignment by positions; use align with positions"
         )
-    if evaluation.alignment.untrustworthy:
-        why = evaluation.alignment.untrustworthy
+    if evaluation.alignment.why_rotation_withheld:
+        why = evaluation.alignment.why_rotation_withheld
         raise InputError(f"no covariance can be transformed to this gauge: {why}")
     offset = round(protocol.association.time_offset_s * NANOSECONDS)
     estimate = dataclasses.replace(pairs.estimate, stamps=pairs.estimate.stamps - offset)

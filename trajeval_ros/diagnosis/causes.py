@@ -106,7 +106,7 @@ _BY_SEVERITY: tuple[Cause | tuple[Cause, ...], ...] = (
           "poses: the lengths of its positions correlate by {peak:.2f} with the steps of the "
           "groundtruth", "sum the motions up, and write poses"),
     Cause("few_pairs", "{text}", "{more}"),
-    Cause("clock_step", "{owner} clock stepped by {s:+.3f} s at {end_s:.2f} s{number}{receptions}",
+    Cause("clock_step", "{owner} clock stepped by {s:+.3f} s at {end_s:.2f} s{number}{proof}",
           "correct the timestamps after it", {"correct": "clock_step"}, of_error=""),
     Cause("both_clocks_step",
           "both clocks stepped by {s:+.3f} s at {end_s:.2f} s{number}: these are two runs",

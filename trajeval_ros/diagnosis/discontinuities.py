@@ -235,7 +235,7 @@ def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> De
         "lasting": f" for {event.s:.2f} s" if event.s else "",
         "gap": f", in a gap of {event.gap_s:.1f} s" if event.gap_s else "",
         "number": f" (largest of {len(group)})" if len(group) > 1 else "",
-        "receptions": "; the receive times did not" if event.certainty == "sure" else "",
+        "proof": "; the receive times did not" if event.certainty == "sure" else "",
         "parts": _parts_text(parts) if event.kind in kinds.PARTING else "",
     }
     return Detection(cause_name(event.kind, event.side), values)

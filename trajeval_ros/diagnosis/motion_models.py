@@ -280,8 +280,8 @@ class ModelScores:
             scales.append(1.0 / ratio)
             kinds = [read.truth.in_units(1, rest)]
             if self.motions.has_orientations:
-                turned = read.rotations @ model.body.T - rotations
-                kinds.append(read.truth.in_units(0, turned))
+                rotation_errors = read.rotations @ model.body.T - rotations
+                kinds.append(read.truth.in_units(0, rotation_errors))
             residuals.append(np.concatenate(kinds))
         means = t_log_likelihood(np.array(residuals))[0].sum(axis=1)
         return [

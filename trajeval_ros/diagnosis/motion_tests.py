@@ -147,7 +147,7 @@ class _Comparison:
         if not (oriented and agrees):
             why_not = "rotations do not agree" if oriented else "no orientations"
             return [*results, TestResult("bodies", why_not=why_not)]
-        if not self.inputs.gauge.turns_about_gravity_only:
+        if not self.inputs.gauge.yaw_only:
             why_not = "the alignment includes roll and pitch, or no rotation"
             results.append(TestResult("vertical axes", why_not=why_not))
         elif not best.changes_axes:

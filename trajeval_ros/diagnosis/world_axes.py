@@ -134,7 +134,7 @@ def _vertical_of_both(
     assert groundtruth.quaternions is not None
     vertical = vertical_axis_of(groundtruth.positions, groundtruth.quaternions)
     if vertical is not None:
-        vertical = np.abs(groundtruth.up.turned(vertical))
+        vertical = np.abs(groundtruth.up.to_z_up(vertical))
         is_axis, row = vertical.max() > _NEAR_AXIS, int(vertical.argmax())
         return _sideways(row, matrix, inputs) if is_axis and row < 2 else None
     read = scores.read(model.hypothesis)

@@ -145,7 +145,7 @@ def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evalu
 
 
 def _absolute(evaluation: Evaluation, name: str, path_m: float) -> Iterator[Value]:
-    withheld = bool(evaluation.alignment.untrustworthy)
+    withheld = bool(evaluation.alignment.why_rotation_withheld)
     last_m = float(evaluation.absolute.position_m[-1])
     factors = {PER_AXIS: math.sqrt(1.0 / 3.0), PER_PATH: 100.0 / path_m}
     for (metric, form), (statistics, alignments, _) in ABSOLUTE.items():

@@ -16,7 +16,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.fixes import STATUS_NO_FIX, STATUS_UNKNOWN, Fixes
 from trajeval_ros.geometry.geodesy import Datum, east_north_up
-from trajeval_ros.geometry.reading import NOT_READ, SourceInfo
+from trajeval_ros.geometry.source_info import NOT_READ, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 
 FRAME = "east_north_up"
@@ -158,8 +158,8 @@ def _with_flat(trajectory: Trajectory, fixes: Fixes) -> tuple[Trajectory, Fixes]
         stamps=stamps[order],
         positions=np.zeros((len(stamps), 3)),
         covariances=None,
-        # The times of reception of the fixes without height are unknown here.
-        reading=dataclasses.replace(reading, fixes=joined, dropped=dropped, receptions=None),
+        # The receive times of the fixes without height are unknown here.
+        reading=dataclasses.replace(reading, fixes=joined, dropped=dropped, receive_times=None),
     )
     return states, joined
 

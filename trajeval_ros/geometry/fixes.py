@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, at_rows
-from trajeval_ros.geometry.geodesy import Datum, east_north_up, turned_covariances
+from trajeval_ros.geometry.geodesy import Datum, east_north_up, rotated_covariances
 
 # sensor_msgs/NavSatStatus and the covariance types of sensor_msgs/NavSatFix.
 STATUS_UNKNOWN, STATUS_NO_FIX = -2, -1
@@ -86,7 +86,7 @@ class Fixes:
         assert self.datum is not None
         known = self.known
         covariances = np.full((len(self), 6, 6), np.nan)
-        covariances[known, :3, :3] = turned_covariances(
+        covariances[known, :3, :3] = rotated_covariances(
             self.covariances[known], self.places[known], self.datum
         )
         return covariances

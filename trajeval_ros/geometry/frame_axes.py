@@ -72,11 +72,11 @@ def upright(trajectory: Trajectory) -> Trajectory:
     )
     return dataclasses.replace(
         trajectory,
-        positions=up.turned(trajectory.positions),
+        positions=up.to_z_up(trajectory.positions),
         quaternions=None
         if quaternions is None
         else lie.normalized(lie.multiply(lie.from_matrices(rotation[None]), quaternions)),
-        velocities=None if velocities is None else up.turned(velocities),
+        velocities=None if velocities is None else up.to_z_up(velocities),
         covariances=None if covariances is None else both @ covariances @ both.T,
         up=UpAxis("z", f"{ROTATED_FROM}{up.name}, {up.origin}"),
         reading=reading.remarked(note("z_up", sentence)),

@@ -99,7 +99,7 @@ class Gauge(Enum):
 
     Example:
         >>> from trajeval_ros import Gauge
-        >>> Gauge.of("yaw").turns_about_gravity_only
+        >>> Gauge.of("yaw").yaw_only
         True
     """
 
@@ -128,7 +128,7 @@ class Gauge(Enum):
         return self is not Gauge.NONE
 
     @property
-    def turns_about_gravity_only(self) -> bool:
+    def yaw_only(self) -> bool:
         """Whether its rotations are about z alone, eq. (12)."""
         return self in (Gauge.YAW, Gauge.PLANAR)
 
@@ -147,7 +147,7 @@ class Gauge(Enum):
         """Least number of states whose positions determine an element (not on a line, for 3)."""
         if self.has_so3:
             return 3
-        return 2 if self.turns_about_gravity_only else 1
+        return 2 if self.yaw_only else 1
 
     def enough_pairs(self, align_states: int | None) -> int:
         """Return the least number of pairs of a meaningful absolute error.

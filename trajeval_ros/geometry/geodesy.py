@@ -91,7 +91,7 @@ def is_earth_centred(positions: Floats) -> bool:
     )
 
 
-def turned_covariances(covariances: Floats, places: Floats, datum: Datum) -> Floats:
+def rotated_covariances(covariances: Floats, places: Floats, datum: Datum) -> Floats:
     """Return covariances (N, 3, 3) about the places' east, north and up in a datum's frame."""
     rotations = _axes(datum.coordinates) @ np.swapaxes(_axes(places), -1, -2)
     rotated: Floats = rotations @ covariances @ np.swapaxes(rotations, -1, -2)

@@ -28,7 +28,7 @@ class InertialReadings:
         return len(self.stamps)
 
 
-def turned_by_gyro(seconds: Floats, rates: Floats, first: Floats = _IDENTITY) -> Floats:
+def rotations_by_gyro(seconds: Floats, rates: Floats, first: Floats = _IDENTITY) -> Floats:
     """Return orientations (N, 4) by angular velocities (N, 3), rad/s, from the first one (4,)."""
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
     rotations = lie.running_products(first, lie.from_rotation_vector(steps))

@@ -138,11 +138,11 @@ class HandEye:
             covariances=None,
             child_frame=body or groundtruth.child_frame,
             reading=reading,
-            gyroscope_biases=self._turned(groundtruth.gyroscope_biases),
-            accelerometer_biases=self._turned(groundtruth.accelerometer_biases),
+            gyroscope_biases=self._rotated(groundtruth.gyroscope_biases),
+            accelerometer_biases=self._rotated(groundtruth.accelerometer_biases),
         )
 
-    def _turned(self, vectors: Floats | None) -> Floats | None:
+    def _rotated(self, vectors: Floats | None) -> Floats | None:
         return None if vectors is None else lie.rotate(self.rotation_xyzw, vectors)
 
     def of_marker(self, estimate: Trajectory, scale: float, marker: str = "") -> Trajectory:

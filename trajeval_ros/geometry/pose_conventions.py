@@ -11,7 +11,7 @@ from trajeval_ros.exceptions import InputError, SettingsError, require_one_of
 from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 
 # Of the columns that were read as x, y, z, w. The last one: x, y, z, w read as w, x, y, z.

@@ -21,7 +21,7 @@ from trajeval_ros.geometry.array_input import (
 )
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, at_rows
 from trajeval_ros.geometry.interpolation import Bracket, bracket_stamps, mix, slerp
-from trajeval_ros.geometry.reading import NOT_READ, SourceInfo, require_column
+from trajeval_ros.geometry.source_info import NOT_READ, SourceInfo, require_column
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.geometry.valid_poses import LARGEST, at_length_one, conflicts_of, valid_mask

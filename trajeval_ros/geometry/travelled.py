@@ -23,7 +23,7 @@ def step_lengths(positions: Floats) -> Floats:
     return lie.by_blocks(at, positions[:-1], positions[1:])[0]
 
 
-def turned_angle(quaternions: Floats) -> Floats:
+def rotation_angle(quaternions: Floats) -> Floats:
     """Return the accumulated rotation up to every orientation (N, 4), xyzw, (N,), radians."""
     return _accumulated(len(quaternions), step_angles(quaternions))
 

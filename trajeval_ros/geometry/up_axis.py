@@ -71,7 +71,7 @@ class UpAxis:
         rotated[2] *= -1.0 if self.name.startswith("-") else 1.0
         return rotated
 
-    def turned(self, vectors: Floats) -> Floats:
+    def to_z_up(self, vectors: Floats) -> Floats:
         """Return vectors (..., 3) in axes whose third is up; exact, since it permutes components.
 
         Of quaternions (..., 4) the vector part is permuted and w kept: E becomes W E W^T, where W

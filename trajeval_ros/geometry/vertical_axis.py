@@ -93,7 +93,7 @@ def vertical_axis_of(positions: Floats, quaternions: Floats) -> Floats | None:
 
 def require_up_axis(groundtruth: Trajectory, estimate: Trajectory, gauge: Gauge) -> None:
     """Refuse gauges yaw and planar if the groundtruth rotates about another axis than up."""
-    doubt = up_axis_doubt(groundtruth, estimate) if gauge.turns_about_gravity_only else ""
+    doubt = up_axis_doubt(groundtruth, estimate) if gauge.yaw_only else ""
     if doubt:
         advice = "" if "--up" in doubt else "; use --gauge se3, or a local frame with z up"
         raise InputError(f"gauge {gauge.value} needs the vertical axis, but {doubt}{advice}")

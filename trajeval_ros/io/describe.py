@@ -12,7 +12,7 @@ from trajeval_ros.diagnosis.column_tests import is_named_groundtruth
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.fixes import quality_of
-from trajeval_ros.geometry.reading import FORMATS
+from trajeval_ros.geometry.source_info import FORMATS
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.known_systems import KnownSystem, recognised
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory

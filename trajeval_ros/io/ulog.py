@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark, damaged, note
-from trajeval_ros.geometry.reading import FORMAT
+from trajeval_ros.geometry.source_info import FORMAT
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.px4_messages import (

@@ -45,7 +45,7 @@ class Chart:
         """The axes (0, 1 or 3, 3) of phi."""
         if self.gauge.has_so3:
             return np.eye(3)
-        return np.eye(3)[2:] if self.gauge.turns_about_gravity_only else np.zeros((0, 3))
+        return np.eye(3)[2:] if self.gauge.yaw_only else np.zeros((0, 3))
 
     @property
     def turns(self) -> slice:

@@ -81,7 +81,7 @@ def absolute_errors(
 
 def _parts(errors: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
     """Return the lengths (N,) of errors (N, 3), and of their horizontal and vertical parts."""
-    level = up.turned(errors)
+    level = up.to_z_up(errors)
     return lengths(errors), np.hypot(level[:, 0], level[:, 1]), np.abs(level[:, 2])
 
 
@@ -105,7 +105,7 @@ def rotation_errors(groundtruth_q: Floats, aligned_q: Floats) -> Floats:
 
 def angle_yaw_tilt(between: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
     """Return angle, absolute yaw and tilt of E, degrees."""
-    level = up.turned(between)
+    level = up.to_z_up(between)
     return (
         np.degrees(lie.angle(between)),
         np.degrees(np.abs(lie.yaw(level))),

@@ -18,7 +18,7 @@ from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.metrics.moments import Moments, OrientationSum
-from trajeval_ros.metrics.rotation_freedom import RotationUncertainty, rotation_freedom
+from trajeval_ros.metrics.rotation_uncertainty import RotationUncertainty, rotation_uncertainty
 
 if TYPE_CHECKING:
     from trajeval_ros.metrics.protocol import Protocol
@@ -56,9 +56,9 @@ class Alignment:
         return "" if self.freedom is None else self.freedom.undetermined
 
     @property
-    def untrustworthy(self) -> str:
+    def why_rotation_withheld(self) -> str:
         """The reason why rotation and velocity errors are meaningless; empty if they are not."""
-        return "" if self.freedom is None else self.freedom.untrustworthy
+        return "" if self.freedom is None else self.freedom.why_withheld
 
     def why_withheld(self, protocol: Protocol) -> str:
         """Return why a protocol withholds rotation and velocity errors; empty if it reports them.
@@ -70,7 +70,7 @@ class Alignment:
             protocol.is_of_a_program and np.isfinite(self.freedom.std_deg)
         ):
             return ""
-        return self.freedom.untrustworthy
+        return self.freedom.why_withheld
 
 
 def solve(
@@ -91,7 +91,7 @@ def solve(
     states = int(moments.weight)
     if not gauge.has_translation:
         return Alignment(Similarity.identity(), states)
-    if not (gauge.has_so3 or gauge.turns_about_gravity_only):
+    if not (gauge.has_so3 or gauge.yaw_only):
         return Alignment(_mean_to_mean(np.eye(3), 1.0, moments), states)
     similarity, best_scale, is_free = _fit(gauge, moments, np.zeros((3, 3)), 1.0)
     arm_m, by_positions = 0.0, None
@@ -103,7 +103,7 @@ def solve(
             arm_m = error_m / _ARM_ANGLE
         pull = arm_m**2 / 2.0 * orientations.mean
         similarity, best_scale, is_free = _fit(gauge, moments, pull, similarity.scale)
-    freedom = rotation_freedom(
+    freedom = rotation_uncertainty(
         gauge,
         moments,
         orientations,
@@ -144,7 +144,7 @@ def _nearest_rotation(gauge: Gauge, target: Floats) -> tuple[Floats, float]:
 
     The second value is the least curvature of the trace over all rotation axes.
     """
-    if gauge.turns_about_gravity_only:
+    if gauge.yaw_only:
         sine, cosine = target[1, 0] - target[0, 1], target[0, 0] + target[1, 1]
         return so3.rot_z(np.arctan2(sine, cosine)), float(np.hypot(sine, cosine))
     # scipy's LAPACK takes a third of the time, but its import takes as long as an evaluation.

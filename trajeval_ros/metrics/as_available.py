@@ -24,10 +24,10 @@ from trajeval_ros.metrics.availability import (
     instants,
     sampled,
 )
-from trajeval_ros.metrics.reception_clock import (
-    ReceptionClock,
+from trajeval_ros.metrics.receive_clock import (
+    ReceiveClock,
     clock_correction,
-    judged_receptions,
+    judged_receive_times,
 )
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 
@@ -43,13 +43,13 @@ class AvailabilityRule:
     # (that of the message); `none` to compute nothing.
     motion: str = NONE
     deadline_s: float = 0.1  # largest age of a pose that is in time, seconds
-    received: str = "auto"  # which times of a bag are receptions
-    receive_clock: str = "0"  # correction of the receptions, as `clock_correction` reads it
+    received: str = "auto"  # which times of a bag are receive_times
+    receive_clock: str = "0"  # correction of the receive_times, as `clock_correction` reads it
 
     def __post_init__(self) -> None:
         """Refuse unknown values."""
         require_one_of(self.motion, (NONE, *MOTIONS), "prediction of --as-available")
-        require_one_of(self.received, RECEIVED, "time of reception")
+        require_one_of(self.received, RECEIVED, "receive time")
         clock_correction(self.receive_clock)
         if not self.deadline_s > 0.0:
             raise SettingsError(f"the deadline must be positive, not {self.deadline_s:g} s")
@@ -90,22 +90,22 @@ class Availability:
 
     motion: str  # prediction of a pose
     deadline_s: float  # largest age in time
-    received: str = ""  # what the times of reception are: see `ReceiveTimes.by`; empty if unknown
-    clock: ReceptionClock | None = None  # the comparison of clocks; None without receptions
+    received: str = ""  # what the receive times are: see `ReceiveTimes.by`; empty if unknown
+    clock: ReceiveClock | None = None  # the comparison of clocks; None without receive_times
     recording_s: tuple[float, float] | None = None  # see `ReceiveTimes.recording_s`
     why_withheld: str = ""  # why there are no numbers; empty if there are
     rate_hz: int = RATE_HZ  # rate of the instants
     horizon_s: float = HORIZON_S  # longest prediction
     samples: int | None = None  # number of instants
     without_groundtruth: int | None = None  # number of instants that lack groundtruth
-    time_to_first_pose_s: float | None = None  # from the groundtruth's start to a reception
+    time_to_first_pose_s: float | None = None  # from the groundtruth's start to a receive time
     late_messages: int | None = None  # number of messages that arrived after newer ones
     position_m: Statistics | None = None  # as-available position error
     rotation_deg: Statistics | None = None  # and rotation error; None without orientations
     age_error_m: Statistics | None = None  # position error without its estimator part
     age_error_deg: Statistics | None = None  # rotation error without its estimator part
     age_s: Statistics | None = None  # ages of the poses in use
-    latency_s: Statistics | None = None  # reception minus timestamp of the messages
+    latency_s: Statistics | None = None  # receive time minus timestamp of the messages
     interval_s: Statistics | None = None  # intervals of the messages
     available_percent: float | None = None  # percentage of instants with an age in time
     missed_deadlines: Spans | None = None  # spans with ages above the deadline
@@ -118,7 +118,7 @@ class Availability:
     def remarks(self) -> list[Remark]:
         """The warning about the clocks, or about withheld numbers."""
         sentence = self.why_withheld or (self.clock.sentence if self.clock is not None else "")
-        return [warning("reception_clock", f"as available: {sentence}")] if sentence else []
+        return [warning("receive_clock", f"as available: {sentence}")] if sentence else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,11 +141,11 @@ def as_available(
 
     Args:
         groundtruth: States in order of time.
-        estimate: Poses in the estimate's frame, with receptions, in any order.
+        estimate: Poses in the estimate's frame, with receive_times, in any order.
         similarity: The alignment of the evaluation, from all pairs at their timestamps.
         rule: What to compute.
         max_gap_s: Longest gap of the groundtruth to interpolate across, seconds.
-        offset_ns: Offset of the estimate's timestamps, nanoseconds; not of the receptions.
+        offset_ns: Offset of the estimate's timestamps, nanoseconds; not of the receive_times.
     """
     known, messages = usable_messages(estimate, similarity, rule, offset_ns)
     if messages is None:
@@ -173,13 +173,18 @@ def usable_messages(
 
     Many drivers leave the twist zero. `has_moved`: whether an earlier message had a velocity.
     """
-    known, receptions = Availability(rule.motion, rule.deadline_s), estimate.reading.receptions
-    if receptions is None or not len(receptions):
-        reason = "no times of reception; evaluate a bag, or name a column received"
+    known = Availability(rule.motion, rule.deadline_s)
+    receive_times = estimate.reading.receive_times
+    if receive_times is None or not len(receive_times):
+        reason = "no receive times; evaluate a bag, or name a column received"
         return replace(known, why_withheld=reason), None
-    stamps, velocities, rates = estimate.stamps, estimate.velocities, receptions.body_rates
-    times, clock = judged_receptions(stamps + offset_ns, receptions.times, rule.receive_clock)
-    known = replace(known, received=receptions.by, clock=clock, recording_s=receptions.recording_s)
+    stamps, velocities, rates = estimate.stamps, estimate.velocities, receive_times.body_rates
+    times, clock = judged_receive_times(
+        stamps + offset_ns, receive_times.times, rule.receive_clock
+    )
+    known = replace(
+        known, received=receive_times.by, clock=clock, recording_s=receive_times.recording_s
+    )
     has_twist = rates is not None and velocities is not None and np.isfinite(rates).all()
     if not clock.is_usable:
         return replace(known, why_withheld=clock.sentence), None

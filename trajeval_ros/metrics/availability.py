@@ -28,26 +28,26 @@ _USUAL = 2  # usual intervals that count as sampling; the time beyond is a dropo
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """The N messages that are ever the newest one, in the order of their reception."""
+    """The N messages that are ever the newest one, in the order of their receive time."""
 
     stamps: Stamps  # (N,) int64, nanoseconds, by the groundtruth's clock; ascending
-    times: Stamps  # (N,) int64, nanoseconds, of reception; ascending
+    times: Stamps  # (N,) int64, nanoseconds, of receive time; ascending
     positions: Floats  # (N, 3), metres, in the estimate's frame
     quaternions: Floats  # (N, 4), xyzw, body to frame; the identity without orientations
     oriented: bool  # whether there are orientations
     twists: Floats | None = None  # (N, 6), m/s and rad/s in the body; None for `hold`
-    corrected: Stamps | None = None  # (N,) receptions of the newest corrections, or None
+    corrected: Stamps | None = None  # (N,) receive_times of the newest corrections, or None
     late: int = 0  # number of other messages: those received after a newer one
 
     @classmethod
     def of(cls, estimate: Trajectory, times: Stamps, motion: str, offset_ns: int = 0) -> Messages:
         """Return the messages of an estimate that were received at times (N,), nanoseconds.
 
-        `offset_ns` is added to the timestamps, not to the receptions. Of equal timestamps the
+        `offset_ns` is added to the timestamps, not to the receive times. Of equal timestamps the
         first received is used, unless a correction arrived in between.
         """
-        receptions = estimate.reading.receptions
-        corrected = None if receptions is None else receptions.corrected
+        receive_times = estimate.reading.receive_times
+        corrected = None if receive_times is None else receive_times.corrected
         order = np.argsort(times, kind="stable")
         stamps = estimate.stamps[order]
         newest = np.maximum.accumulate(stamps)
@@ -67,10 +67,10 @@ class Messages:
         if motion == CONSTANT:
             return replace(made, twists=made._constant_twists())
         assert estimate.velocities is not None
-        assert receptions is not None
-        assert receptions.body_rates is not None
+        assert receive_times is not None
+        assert receive_times.body_rates is not None
         body = lie.rotate(lie.conjugate(made.quaternions), estimate.velocities[rows])
-        return replace(made, twists=np.hstack([body, receptions.body_rates[rows]]))
+        return replace(made, twists=np.hstack([body, receive_times.body_rates[rows]]))
 
     def _constant_twists(self) -> Floats:
         """Return the twists between successive poses, xi = Log(T_j^-1 T_k) / (s_k - s_j).
@@ -145,7 +145,7 @@ def in_use(messages: Messages, stamps: Stamps) -> Indices:
 def sampled(
     groundtruth: Trajectory, messages: Messages, stamps: Stamps, max_gap_s: float
 ) -> AvailableSamples:
-    """Return the as-available errors at instants (N,) after the first reception.
+    """Return the as-available errors at instants (N,) after the first receive time.
 
     Instants without groundtruth at one of the four ages are left out. `messages`: aligned to the
     groundtruth, whose states are in order of time.

@@ -312,7 +312,7 @@ def _for_positions(protocol: Protocol) -> Protocol:
 
     Lengths are measured along the estimate, because noise lengthens the path through sparse fixes.
     """
-    if protocol.re_form != "gauge" or not protocol.gauge.turns_about_gravity_only:
+    if protocol.re_form != "gauge" or not protocol.gauge.yaw_only:
         return protocol
     selection = dataclasses.replace(protocol.selection, path="estimate")
     return dataclasses.replace(protocol, re_form="fitted", selection=selection)
@@ -329,7 +329,7 @@ def evaluate_pairs(
         protocol = _for_positions(protocol)
     alignment = align_pairs(pairs, protocol)
     # With a doubtful up axis, alignments about gravity are refused.
-    up_axis = "" if protocol.gauge.turns_about_gravity_only else up_axis_doubt(groundtruth)
+    up_axis = "" if protocol.gauge.yaw_only else up_axis_doubt(groundtruth)
     doubts = doubts_of(pairs, alignment, protocol, up_axis)
     why = doubts.about(AbsoluteErrors, "rotation_deg")
     if protocol.ate_form == "tutorial" and why:

@@ -11,7 +11,7 @@ import numpy as np
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import DeclaredReset
+from trajeval_ros.geometry.source_info import DeclaredReset
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 

@@ -140,7 +140,7 @@ def noise_corrected_ates(
 def _flagged(evaluation: Evaluation) -> Stamps:
     """Return the stamps of the pairs in a jump."""
     groundtruth, aligned = evaluation.association.groundtruth, evaluation.aligned
-    errors = groundtruth.up.turned(groundtruth.positions - aligned.positions)
+    errors = groundtruth.up.to_z_up(groundtruth.positions - aligned.positions)
     return groundtruth.stamps[jumps_of(groundtruth.stamps, errors)]
 
 

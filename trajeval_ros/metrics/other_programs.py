@@ -19,7 +19,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.geometry.reading import FRAMES_FROM_1
+from trajeval_ros.geometry.source_info import FRAMES_FROM_1
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 

@@ -175,7 +175,7 @@ class Protocol:
 
         Alignments about gravity need it, and likelihoods, which use the tilt of any alignment.
         """
-        return self.gauge.turns_about_gravity_only or self.association.method == "continuous"
+        return self.gauge.yaw_only or self.association.method == "continuous"
 
     def _require_sense(self) -> None:
         """Refuse values out of range and settings that exclude one another."""
@@ -197,7 +197,7 @@ class Protocol:
                     f"two orientations never differ by {length}; use a length of at most half a "
                     "turn, or consecutive pairs"
                 )
-        if self.re_form == "fitted" and not self.gauge.turns_about_gravity_only:
+        if self.re_form == "fitted" and not self.gauge.yaw_only:
             raise SettingsError(
                 f"RE form fitted needs gauge yaw, not {self.gauge.value}; use gauge yaw, or RE "
                 "form gauge"

@@ -145,7 +145,7 @@ def differences_at_ends(
     """
     first, last = turns
     # The alignment is eq. (19); for yaw its rotation is eq. (20).
-    rot_z = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
+    rot_z = form in ("gauge", "tutorial") and gauge.yaw_only
     alignment = lie.heading(first) if rot_z else first
     # eq. (14) with the alignment by the first state, relative to the first position.
     step = scale * lie.rotate(alignment, other[1] - other[0])

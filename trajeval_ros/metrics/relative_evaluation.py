@@ -15,7 +15,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.geometry.travelled import turned_angle
+from trajeval_ros.geometry.travelled import rotation_angle
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.other_programs import distance_errors, pose_errors
@@ -298,7 +298,7 @@ class _Measure:
             return since
         if length.turns:
             assert states.quaternions is not None
-            return turned_angle(states.quaternions)
+            return rotation_angle(states.quaternions)
         return self._travelled
 
 

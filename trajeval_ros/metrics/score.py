@@ -44,7 +44,7 @@ class PointTable:
             value=self.best * total / (self.points[0] * references),
             best=self.best,
             bounds_m=self.bounds_m,
-            found=tuple(int(count) for count in np.bincount(place, minlength=len(worth))),
+            counts=tuple(int(count) for count in np.bincount(place, minlength=len(worth))),
             missing=references - len(errors_m),
             references=references,
         )
@@ -85,7 +85,7 @@ class KnotTable:
             value=self.best * float(worth.sum()) / (self.points[0] * references),
             best=self.best,
             bounds_m=bounds,
-            found=tuple(int(count) for count in np.bincount(place, minlength=len(self.points))),
+            counts=tuple(int(count) for count in np.bincount(place, minlength=len(self.points))),
             missing=references - len(errors_m),
             references=references,
         )
@@ -128,7 +128,7 @@ class Score:
     value: float  # from 0 to `best`
     best: float  # score of a run without errors
     bounds_m: tuple[float, ...]  # error bounds, metres
-    found: tuple[int, ...]  # number of points below every bound, and beyond the last one
+    counts: tuple[int, ...]  # number of points below every bound, and beyond the last one
     missing: int  # number of points without an estimate; they have no points
     references: int  # number of all points
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Booleans
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.as_available import Availability, AvailabilityRule, usable_messages
@@ -69,7 +69,7 @@ class LiveAvailability:
         self._truth.add(block)
 
     def add_estimate(self, block: Trajectory) -> None:
-        """Take messages with their receptions; those with an `UNKNOWN` time are left out."""
+        """Take messages with their receive times; those with an `UNKNOWN` time are left out."""
         self._new_messages.append(message_rows(block))
 
     def store(self) -> None:
@@ -83,7 +83,7 @@ class LiveAvailability:
     def update(self, similarity: Similarity | None, offset_ns: int = 0) -> AvailableSamples | None:
         """Return the samples that are final now, under the present alignment; None if none.
 
-        `offset_ns` is added to the estimate's timestamps, not to the receptions.
+        `offset_ns` is added to the estimate's timestamps, not to the receive times.
         """
         self.newest, self.numbers = None, {}
         if self._last < self._seen + _AT_ONCE_NS:
@@ -125,7 +125,7 @@ class LiveAvailability:
         self._truth.drop_before(max(before, 0))
 
     def _see(self, samples: AvailableSamples) -> None:
-        """Take final samples, N > 0, of messages with usable receptions."""
+        """Take final samples, N > 0, of messages with usable receive times."""
         self.newest, row, messages = samples, samples.rows[-1], samples.messages
         ages_s = samples.age / NANOSECONDS
         self.numbers = {
@@ -153,18 +153,18 @@ class LiveAvailability:
         return {
             "pose age p95 [s]": self.age_p95_s,
             "missed deadlines": self.missed,
-            "reception clock": self._known.clock and self._known.clock.verdict,
+            "receive time clock": self._known.clock and self._known.clock.verdict,
         }
 
 
 def message_rows(block: Trajectory) -> Rows:
-    """Return messages with receptions as rows of type `MESSAGE`."""
-    receptions = block.reading.receptions
-    assert receptions is not None
+    """Return messages with receive times as rows of type `MESSAGE`."""
+    receive_times = block.reading.receive_times
+    assert receive_times is not None
     messages = np.empty(len(block), MESSAGE)
-    messages["stamp"], messages["time"] = block.stamps, receptions.times
-    messages["corrected"] = UNKNOWN if receptions.corrected is None else receptions.corrected
-    columns = (block.positions, block.quaternions, block.velocities, receptions.body_rates)
+    messages["stamp"], messages["time"] = block.stamps, receive_times.times
+    messages["corrected"] = UNKNOWN if receive_times.corrected is None else receive_times.corrected
+    columns = (block.positions, block.quaternions, block.velocities, receive_times.body_rates)
     for part, column in zip(_PARTS, columns, strict=True):
         messages["state"][:, part] = np.nan if column is None else column
     return messages
@@ -174,12 +174,12 @@ def received_poses(rows: Rows, up: UpAxis = Z_UP) -> Trajectory:
     """Return the messages in rows of type `MESSAGE`; without velocities if these are NaN."""
     positions, quaternions, velocities, rates = (rows["state"][:, part] for part in _PARTS)
     corrected = None if (rows["corrected"] == UNKNOWN).any() else rows["corrected"]
-    receptions = ReceiveTimes(rows["time"], "node", body_rates=rates, corrected=corrected)
+    receive_times = ReceiveTimes(rows["time"], "node", body_rates=rates, corrected=corrected)
     return Trajectory.from_columns(
         rows["stamp"],
         positions,
         None if np.isnan(quaternions).any() else quaternions,
         velocities=None if np.isnan(velocities).any() else velocities,
         up=up,
-        reading=SourceInfo(receptions=receptions),
+        reading=SourceInfo(receive_times=receive_times),
     )

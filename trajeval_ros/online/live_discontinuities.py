@@ -44,7 +44,7 @@ class LiveDiscontinuities:
             side: `groundtruth` or `estimate`.
             stamps: (N,) timestamps by the groundtruth's clock, nanoseconds.
             rows: (N, 7 or more), positions and quaternions; NaN if not measured.
-            received: (N,) times of reception, nanoseconds, may be `UNKNOWN`; None if unknown.
+            received: (N,) receive times, nanoseconds, may be `UNKNOWN`; None if unknown.
         """
         if self._is_over or not len(stamps):
             return

@@ -81,15 +81,15 @@ class LiveFrames:
         """Return pairs in the frames of the evaluation, with covariances about their axes."""
         groundtruth, estimate = pairs.groundtruth, pairs.estimate
         if self._rotation_frame == "body":
-            estimate = _turned_covariances(estimate)
-        if self.gauge.turns_about_gravity_only:
+            estimate = _rotated_covariances(estimate)
+        if self.gauge.yaw_only:
             groundtruth, estimate = upright(groundtruth), upright(estimate)
         return PairedStates(groundtruth, estimate)
 
     def between_own_axes(self, alignment: Alignment) -> Alignment:
         """Return an alignment of the frames of the evaluation as one of the messages' frames."""
         axes = self.groundtruth_up, self.estimate_up
-        if not self.gauge.turns_about_gravity_only or all(up.name == "z" for up in axes):
+        if not self.gauge.yaw_only or all(up.name == "z" for up in axes):
             return alignment
         similarity = between_own_axes(alignment.similarity, *axes)
         return dataclasses.replace(alignment, similarity=similarity)
@@ -114,11 +114,11 @@ def at_marker(estimate: Trajectory, hand_eye: HandEye, rotation_frame: str) -> T
     """Return estimated states with the marker's position and its covariances."""
     if rotation_frame != "body":
         return hand_eye.of_marker(estimate, 1.0)
-    moved = hand_eye.of_marker(_turned_covariances(estimate), 1.0)
-    return _turned_covariances(moved, to_body=True)
+    moved = hand_eye.of_marker(_rotated_covariances(estimate), 1.0)
+    return _rotated_covariances(moved, to_body=True)
 
 
-def _turned_covariances(states: Trajectory, *, to_body: bool = False) -> Trajectory:
+def _rotated_covariances(states: Trajectory, *, to_body: bool = False) -> Trajectory:
     """Return states with rotation covariances converted from body axes to world axes."""
     if states.covariances is None or states.quaternions is None:
         return states

@@ -54,14 +54,14 @@ class PairErrors:
         """Signed twists of the rotation errors about the up axis, (N,), degrees."""
         if self._between is None or "yaw_deg" in self._withheld:
             return None
-        return np.degrees(lie.yaw(self._up.turned(self._between)))
+        return np.degrees(lie.yaw(self._up.to_z_up(self._between)))
 
     @cached_property
     def tilt_deg(self) -> Floats | None:
         """Angles between the up axis and its image under the rotation errors, (N,), degrees."""
         if self._between is None or "tilt_deg" in self._withheld:
             return None
-        return np.degrees(lie.tilt(self._up.turned(self._between)))
+        return np.degrees(lie.tilt(self._up.to_z_up(self._between)))
 
     @property
     def rotation_vector_deg(self) -> Floats | None:
@@ -77,7 +77,7 @@ class PairErrors:
         """
         if self._between is None or self.yaw_deg is None or "tilt_deg" in self._withheld:
             return None
-        level = self._up.turned(self._between)
+        level = self._up.to_z_up(self._between)
         tilted = lie.multiply(level, lie.conjugate(lie.heading(level)))
         vectors = np.degrees(lie.rotation_vector(tilted))
         vectors[:, 2] = self.yaw_deg
@@ -108,4 +108,4 @@ class PairErrors:
         if attitude is None or "horizontal_m" in self._withheld:
             return None
         upright = lie.multiply(lie.from_matrices(self._up.matrix[None]), attitude)
-        return lie.rotate(lie.conjugate(lie.heading(upright)), self._up.turned(self.position))
+        return lie.rotate(lie.conjugate(lie.heading(upright)), self._up.to_z_up(self.position))

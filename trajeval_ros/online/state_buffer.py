@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Indices, Stamps
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
@@ -25,7 +25,9 @@ _ALL = slice(None)
 NOTHING: Mapping[str, int] = MappingProxyType({})  # no counts
 _FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
 _NONE = np.empty(0, dtype=np.int64)
-NO_STATES = Trajectory(_NONE, np.empty((0, 3)), reading=SourceInfo(receptions=ReceiveTimes(_NONE)))
+NO_STATES = Trajectory(
+    _NONE, np.empty((0, 3)), reading=SourceInfo(receive_times=ReceiveTimes(_NONE))
+)
 
 
 class Tail:
@@ -162,14 +164,14 @@ def joined(before: Trajectory, after: Trajectory) -> Trajectory:
         pair = getattr(of, name), getattr(other, name)
         return None if any(part is None for part in pair) else np.concatenate(pair)
 
-    received, others = before.reading.receptions, after.reading.receptions
-    receptions = None
+    received, others = before.reading.receive_times, after.reading.receive_times
+    receive_times = None
     if received is not None and others is not None:
         names = ("times", "body_rates", "corrected")
         columns = {name: column(received, others, name) for name in names}
-        receptions = replace(others, **columns)
+        receive_times = replace(others, **columns)
     columns = {name: column(before, after, name) for name in ("stamps", *_STATE)}
-    return replace(after, **columns, reading=SourceInfo(receptions=receptions))
+    return replace(after, **columns, reading=SourceInfo(receive_times=receive_times))
 
 
 def _unknown(name: str, shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:

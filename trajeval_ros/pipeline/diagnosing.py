@@ -123,7 +123,7 @@ def explained(error: InputError, given: Inputs, request: Request) -> InputError:
     """
     inputs = corrected_and_cut(given, request)
     gauge = request.protocol.gauge
-    if not gauge.turns_about_gravity_only or not up_axis_doubt(inputs.groundtruth):
+    if not gauge.yaw_only or not up_axis_doubt(inputs.groundtruth):
         return error
     diagnosis = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
     causes = [finding for finding in diagnosis.findings if finding.cause == "inverse"]

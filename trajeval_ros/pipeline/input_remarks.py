@@ -203,7 +203,7 @@ def _about_projection(name: str, side: Trajectory) -> Iterator[Remark]:
             "convert it to latitude and longitude or to a local frame, or use --gauge se3",
         )
         return
-    columns = [np.abs(column) for column in side.up.turned(side.positions)[:, :2].T]
+    columns = [np.abs(column) for column in side.up.to_z_up(side.positions)[:, :2].T]
     low, high = ([reduced(column) for column in columns] for reduced in (np.min, np.max))
     east, north = np.argsort(low)  # either may come first
     is_zone = all(

@@ -22,7 +22,7 @@ from trajeval_ros.metrics.as_available import AsAvailable, as_available
 from trajeval_ros.metrics.evaluation import Evaluation, of_same_point, on_plane
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.reception_clock import judged_receptions
+from trajeval_ros.metrics.receive_clock import judged_receive_times
 from trajeval_ros.metrics.states_table import states_table
 from trajeval_ros.metrics.stream_health import UNKNOWN, StreamHealth, health_of
 from trajeval_ros.pipeline.corrections import finding_to_correct
@@ -151,12 +151,12 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
 
 def _stream(estimate: Trajectory) -> StreamHealth | None:
     """Return the health of a recorded stream; without arrivals if they can't be compared."""
-    receptions = estimate.reading.receptions
-    if receptions is None or not len(estimate) or estimate.reading.as_received is not None:
+    receive_times = estimate.reading.receive_times
+    if receive_times is None or not len(estimate) or estimate.reading.as_received is not None:
         return None
-    _, clock = judged_receptions(estimate.stamps, receptions.times)
+    _, clock = judged_receive_times(estimate.stamps, receive_times.times)
     unknown = np.full(len(estimate), UNKNOWN)
-    return health_of(estimate.stamps, receptions.times if clock.is_usable else unknown)
+    return health_of(estimate.stamps, receive_times.times if clock.is_usable else unknown)
 
 
 def _available(inputs: Inputs, evaluation: Evaluation, request: Request) -> AsAvailable | None:

@@ -44,8 +44,8 @@ class Inputs:
     groundtruth: Trajectory
     estimate: Trajectory
     pairs: Association | None = None  # for the hints of a live run; None before the association
-    # All groundtruth states, and the poses in the order of their reception; None if these are the
-    # two sides.
+    # All groundtruth states, and the poses in the order of their receive times; None if these are
+    # the two sides.
     streams: tuple[Trajectory, Trajectory] | None = None
 
     @classmethod

@@ -129,7 +129,7 @@ class Request:
 
     @property
     def received(self) -> str:
-        """Which times of a bag are receptions; empty if poses are not read as received."""
+        """Which times of a bag are receive times; empty if poses are not read as received."""
         return self.available.received if self.available.is_asked_for else ""
 
     def for_trajectories(

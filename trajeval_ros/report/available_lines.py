@@ -33,7 +33,7 @@ def available_lines(numbers: Availability, ate_m: float) -> list[str]:
     if position is None or age is None or parts is None or moved is None or latency is None:
         return []
     assert numbers.dropouts is not None
-    by = _CLOCKS.get(numbers.received, "receptions")
+    by = _CLOCKS.get(numbers.received, "receive times")
     shares = ", ".join(
         f"{name} {four_digits(part.rmse_m)} m ({100.0 * part.share:.0f} %)"
         for name, part in parts.items()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.formatting.text_tables import BOLD
-from trajeval_ros.geometry.reading import ASSUMED, FORMAT
+from trajeval_ros.geometry.source_info import ASSUMED, FORMAT
 from trajeval_ros.metrics.discontinuities.handling import SPLIT
 from trajeval_ros.report import consistency_lines, tables
 from trajeval_ros.report.available_lines import available_lines, stream_line

@@ -37,7 +37,7 @@ def top_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
 def side_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
     """Draw estimates and groundtruth with height over the longer horizontal axis."""
     groundtruth = evaluations[0].groundtruth
-    extent = extents(groundtruth.up.turned(groundtruth.positions))
+    extent = extents(groundtruth.up.to_z_up(groundtruth.positions))
     return _view(evaluations, names, (1 if extent[1] > extent[0] else 0, 2), "Side view")
 
 
@@ -87,7 +87,7 @@ def axis_names(upward: UpAxis, plane: tuple[int, int]) -> tuple[str, str]:
 
 def _seen(trajectory: Trajectory, upward: UpAxis, plane: tuple[int, int]) -> Floats:
     """Return positions in a plane, (N, 2), metres."""
-    seen: Floats = upward.turned(trajectory.positions)[:, plane]
+    seen: Floats = upward.to_z_up(trajectory.positions)[:, plane]
     return seen
 
 

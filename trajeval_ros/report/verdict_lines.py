@@ -230,10 +230,10 @@ def _score(evaluation: Evaluation) -> list[str]:
         return lines
     counts = [
         f"{count} under {bound:g} m"
-        for bound, count in zip(score.bounds_m, score.found, strict=False)
+        for bound, count in zip(score.bounds_m, score.counts, strict=False)
         if count
     ]
-    counts.append(f"{score.found[-1]} beyond, {score.missing} missing")
+    counts.append(f"{score.counts[-1]} beyond, {score.missing} missing")
     return [
         *lines,
         f"  score {score.value:.4g} of {score.best:g} for {score.references} points: "

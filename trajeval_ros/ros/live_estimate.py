@@ -11,8 +11,8 @@ from typing import Any
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt
@@ -74,7 +74,7 @@ class LiveEstimate:
         self._newest_path: Trajectory | None = None  # as in its message
         self.evaluator = OnlineEvaluator(settings)
         self.discontinuities = LiveDiscontinuities()
-        # The newest time of reception by side, also when a step of a clock was first noticed.
+        # The newest receive time by side, also when a step of a clock was first noticed.
         self._heard: dict[str, int] = {}
         self._suspected: Event | None = None
         self._suspected_at: dict[str, int] = {}
@@ -147,8 +147,8 @@ class LiveEstimate:
             self._newest_path = decoded
             self.source.stream.count_new(first, int(messages.times[0]))
             newest = decoded[decoded.stamps.argsort(kind="stable")[-1:]]
-            receptions = ReceiveTimes(messages.times[: len(newest)], "node")
-            self._receive(replace(newest, reading=SourceInfo(receptions=receptions)))
+            receive_times = ReceiveTimes(messages.times[: len(newest)], "node")
+            self._receive(replace(newest, reading=SourceInfo(receive_times=receive_times)))
             self._add(states[new], None)
             return
         if len(decoded):

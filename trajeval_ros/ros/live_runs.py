@@ -11,7 +11,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.geometry.arrays import Stamps
-from trajeval_ros.geometry.stamp_trust import NEAR_NS
+from trajeval_ros.geometry.outlier_stamps import NEAR_NS
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP, SIDES, Event

@@ -198,7 +198,7 @@ def _poses(
     """Return the usable poses of messages.
 
     Timestamps (N,), positions (N, 3), quaternions (N, 4), world velocities (N, 3), rotation
-    covariances (N, 3, 3), zeros if they are unknown, and times of reception (N,).
+    covariances (N, 3, 3), zeros if they are unknown, and receive times (N,).
     """
     if kind == PATH_TYPE:
         raise InputError(
@@ -209,12 +209,12 @@ def _poses(
     if states.quaternions is None:
         states = states[:0]
     count, covariances = len(states), states.covariances
-    receptions = states.reading.receptions
+    receive_times = states.reading.receive_times
     return (
         states.stamps,
         states.positions,
         states.known_quaternions,
         np.full((count, 3), np.nan) if states.velocities is None else states.velocities,
         np.zeros((count, 3, 3)) if covariances is None else covariances[:, 3:, 3:],
-        None if receptions is None else receptions.times,
+        None if receive_times is None else receive_times.times,
     )

@@ -17,7 +17,7 @@ from trajeval_ros.online.state_buffer import NEVER
 class DecodedMessages(NamedTuple):
     """Messages of one source: some poses, or one path.
 
-    Times (N,) are those of reception by the middleware; for a path, its time of arrival.
+    Times (N,) are the receive times of the middleware; for a path, its time of arrival.
     """
 
     states: Trajectory

@@ -23,7 +23,7 @@ from trajeval_ros.ros.transform_stream import TransformStream
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# From times of reception to simulated times.
+# From receive times to simulated times.
 TimeAt = Callable[[NDArray[np.int64]], NDArray[np.int64]]
 _POINT_TYPE = "geometry_msgs/msg/PointStamped"
 

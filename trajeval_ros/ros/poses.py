@@ -12,9 +12,9 @@ from trajeval_ros.formatting.remarks import Level, Remark, note, warning
 from trajeval_ros.geometry.arrays import Indices, Stamps
 from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import FORMAT, DeclaredReset, SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
-from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, OutlierStamps, trusted_states
+from trajeval_ros.geometry.outlier_stamps import LONE, NEAR_NS, OutlierStamps, trusted_states
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import FORMAT, DeclaredReset, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts, in_words, valid_mask
@@ -94,7 +94,7 @@ class PoseStream:
         status.remarks += [remark for remark in before.remarks if remark.code == FORMAT]
         status.datum = self.fixes.datum
         for trust in self._all_trusts:
-            trust.lone = trust.farthest_ns = 0
+            trust.isolated = trust.farthest_ns = 0
 
     def reset(self) -> None:
         """Forget earlier messages: their time, and the origin of fixes."""
@@ -125,7 +125,7 @@ class PoseStream:
     ) -> tuple[Trajectory, Indices]:
         """Return the states of messages that arrived at times (N,), nanoseconds.
 
-        They have their receptions. The second value are the rows of their messages.
+        They have their receive times. The second value are the rows of their messages.
         """
         self._see_type(message_type)
         columns = decode_poses(
@@ -200,7 +200,7 @@ class PoseStream:
             columns.quaternions,
             velocities=velocities,
             covariances=columns.covariances,
-            reading=SourceInfo(receptions=_received(columns, arrived_ns)),
+            reading=SourceInfo(receive_times=_received(columns, arrived_ns)),
         )
         if states.covariances is not None and not states.covariances.any():
             states = replace(states, covariances=None)  # zeros mean unknown
@@ -242,7 +242,7 @@ class PoseStream:
         if (mixed := self.fixes.mixed(antennas)) and status.note(note("frame_changed", mixed)):
             self.news.append(warning("data", f"{self._topic}: {mixed}"))
         columns = columns.rows_of(kept)
-        reading = SourceInfo(fixes=fixes, receptions=_received(columns, arrived_ns))
+        reading = SourceInfo(fixes=fixes, receive_times=_received(columns, arrived_ns))
         return Trajectory(columns.stamps, positions, reading=reading), columns.rows
 
     def _trusted(
@@ -252,7 +252,7 @@ class PoseStream:
 
         States that waited get the row of the first of these messages.
         """
-        before, first = self._trust.lone, self._number
+        before, first = self._trust.isolated, self._number
         self._number += len(new)
         numbers, states = np.arange(first, self._number), new
         if len(self._held):
@@ -266,14 +266,14 @@ class PoseStream:
         states, rows = states[trusted], rows[trusted]
         if len(states):
             self.status.stream.add(states.stamps, arrivals_of(states))
-        if self._trust.lone > before:
+        if self._trust.isolated > before:
             self._tell_lone(self._trust)
-            self.status.drop(LONE, self._trust.lone - before)
+            self.status.drop(LONE, self._trust.isolated - before)
         return states, rows
 
     def _tell_lone(self, trust: OutlierStamps) -> None:
         """Count isolated timestamps, and report them once."""
-        if not trust.lone:
+        if not trust.isolated:
             return
         if not self.status.has(LONE):
             self.news.append(warning("data", f"{self._topic}: {trust.message}"))
@@ -327,9 +327,9 @@ class PoseStream:
 
 def arrivals_of(states: Trajectory) -> Stamps:
     """Return the times of arrival of decoded states (N,), nanoseconds; may be `UNKNOWN`."""
-    receptions = states.reading.receptions
-    assert receptions is not None
-    return receptions.times
+    receive_times = states.reading.receive_times
+    assert receive_times is not None
+    return receive_times.times
 
 
 def _received(columns: PoseColumns, arrived_ns: Stamps) -> ReceiveTimes:

@@ -169,17 +169,17 @@ _ENCAPSULATION = b"\0\1"  # little-endian CDR, as every node of ROS writes it
 
 
 class ClockSamples:
-    """Samples of simulated time and their times of reception, for interpolation.
+    """Samples of simulated time and their receive times, for interpolation.
 
     The clock of a ROS node does not interpolate: with /clock at 10 Hz it has steps of 0.1 s.
     """
 
     def __init__(self) -> None:
-        self._walls: list[int] = []  # times of reception
+        self._walls: list[int] = []  # receive times
         self._times: list[int] = []
 
     def see(self, received: int, time_ns: int) -> None:
-        """Add a simulated time and its time of reception, nanoseconds."""
+        """Add a simulated time and its receive time, nanoseconds."""
         if self._walls and received < self._walls[-1]:
             self._walls, self._times = [], []  # the machine's time steps back
         self._walls.append(received)
@@ -218,7 +218,7 @@ class ClockSamples:
 
 
 class SimulatedClock:
-    """Reads /clock directly, because an executor does not report times of reception."""
+    """Reads /clock directly, because an executor does not report receive times."""
 
     def __init__(self, node: Node) -> None:
         self._input = TopicInput(node, TOPIC, (TYPE,), is_optional=True)

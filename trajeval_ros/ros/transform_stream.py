@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.arrays import Indices, Stamps
-from trajeval_ros.geometry.reading import FORMAT, SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
-from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, OutlierStamps
+from trajeval_ros.geometry.outlier_stamps import LONE, NEAR_NS, OutlierStamps
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import FORMAT, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
 from trajeval_ros.io.bags.received_transforms import TRANSFORM, ReceivedChain, transforms_of
@@ -95,7 +95,7 @@ class TransformStream(PoseStream):
             arrived[-1] = arrived_ns[-1]
             self.status.stream.add(stamps, arrived)
         composed = compose(self._edges, self._way, stamps)
-        reading = SourceInfo(receptions=ReceiveTimes(np.full(len(stamps), UNKNOWN), "node"))
+        reading = SourceInfo(receive_times=ReceiveTimes(np.full(len(stamps), UNKNOWN), "node"))
         states = Trajectory.from_columns(stamps, *composed, reading=reading)
         for reason, number in states.reading.dropped.items():
             self.status.drop(reason, number)
@@ -104,7 +104,7 @@ class TransformStream(PoseStream):
         return states, np.full(len(states), row)
 
     def as_received(self, poses: Trajectory) -> Trajectory:
-        """Return the poses at every reception since the last call; see `ReceivedChain`.
+        """Return the poses at every receive time since the last call; see `ReceivedChain`.
 
         They begin when the leading edge is determined. Their times of arrival are never `UNKNOWN`.
         """
@@ -170,11 +170,11 @@ class TransformStream(PoseStream):
         # A timestamp of 0 was not set.
         timed = transforms[transforms["transform"]["stamp"] != 0]
         trust = self._trusts.setdefault(key, OutlierStamps())
-        before = trust.lone
+        before = trust.isolated
         stamps, trusted = trust.take(timed["transform"]["stamp"], timed, at_end=self._is_over)
-        if trust.lone > before:
+        if trust.isolated > before:
             self._tell_lone(trust)
-            self.status.drop(LONE, trust.lone - before)
+            self.status.drop(LONE, trust.isolated - before)
         known = self._edges.get(key)
         if known is not None and known.is_static:
             known = None

@@ -25,7 +25,7 @@ def since(estimate: Trajectory, onset: int) -> tuple[int, Floats]:
     return int(np.searchsorted(estimate.stamps, onset)), tau
 
 
-def _turned(about_z: Floats) -> Floats:
+def _rotated(about_z: Floats) -> Floats:
     """Return rotations (N, 4) about z by angles (N,), rad."""
     zero = np.zeros_like(about_z)
     return np.stack([zero, zero, np.sin(0.5 * about_z), np.cos(0.5 * about_z)], axis=1)
@@ -41,7 +41,7 @@ def yaw(
 ) -> Trajectory:
     """Let the yaw drift at a rate, deg/s."""
     tau = since(estimate, onset)[1]
-    rotation = _turned(np.radians(rate_deg) * tau)
+    rotation = _rotated(np.radians(rate_deg) * tau)
     steps = lie.rotate(rotation[1:], np.diff(estimate.positions, axis=0))
     positions = estimate.positions[0] + np.concatenate(
         [np.zeros((1, 3)), np.cumsum(steps, axis=0)]

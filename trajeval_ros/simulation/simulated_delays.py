@@ -1,4 +1,4 @@
-"""Simulated times of reception, and dropouts."""
+"""Simulated receive times, and dropouts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.geometry.receptions import LOG, ReceiveTimes
+from trajeval_ros.geometry.receive_times import LOG, ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 
@@ -22,8 +22,8 @@ class Delay(NamedTuple):
 USUAL, SLOW = Delay(0.015, 0.005), Delay(0.12, 0.03, 0.02)
 
 
-def with_receptions(estimate: Trajectory, delay: Delay, seed: int) -> Trajectory:
-    """Return an estimate as it was received: with times of reception, without lost messages.
+def with_receive_times(estimate: Trajectory, delay: Delay, seed: int) -> Trajectory:
+    """Return an estimate as it was received: with receive times, without lost messages.
 
     A message is never received before an older one, as on one topic.
     """
@@ -32,6 +32,6 @@ def with_receptions(estimate: Trajectory, delay: Delay, seed: int) -> Trajectory
     delays_s = delay.constant_s + random.exponential(delay.mean_s, count)
     times = estimate.stamps + (delays_s * NANOSECONDS).astype(np.int64)
     kept = random.random(count) >= delay.lost
-    receptions = ReceiveTimes(np.maximum.accumulate(times), LOG)
-    reading = dataclasses.replace(estimate.reading, receptions=receptions)
+    receive_times = ReceiveTimes(np.maximum.accumulate(times), LOG)
+    reading = dataclasses.replace(estimate.reading, receive_times=receive_times)
     return dataclasses.replace(estimate, reading=reading)[kept]

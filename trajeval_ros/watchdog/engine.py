@@ -130,7 +130,7 @@ class Watchdog:
 
         `stamps`: (N,), ns. `positions`: (N, 3), metres. `quaternions`: (N, 4), xyzw, unit.
         `body_velocities`: (N, 3), m/s, in the body frame; None if messages have no twist.
-        `received`: (N,), ns, times of reception; None if unknown.
+        `received`: (N,), ns, receive times; None if unknown.
         """
         if not len(stamps):
             return {}

@@ -30,7 +30,7 @@ class EventSignals:
         self._lasting: list[tuple[Event, float]] = []
 
     def add(self, stamps: Stamps, poses: Floats, received: Stamps | None = None) -> None:
-        """Add messages in order of arrival: timestamps (N,), ns, poses (N, 7), reception (N,)."""
+        """Add messages in order of arrival: timestamps (N,), ns, poses (N, 7), received (N,)."""
         self._waiting += self._stream.add(stamps, poses, received)
         self._stream.events.clear()
 

@@ -10,7 +10,7 @@ import numpy as np
 from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.geometry.inertial import turned_by_gyro
+from trajeval_ros.geometry.inertial import rotations_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.rotations_over_time import between, only_axis
@@ -57,29 +57,29 @@ class Mounting:
 
     def remarks(self) -> list[str]:
         """Return the remarks for the user, one sentence each."""
-        said = []
-        turned_deg = math.degrees(float(lie.angle(self.rotation)))
+        sentences = []
+        angle_deg = math.degrees(float(lie.angle(self.rotation)))
         if self.axis is not None:
-            said.append(
+            sentences.append(
                 "the robot rotated about only one axis: the gyroscope is compared about this "
                 "axis only, and gravity is not compared"
             )
-        elif turned_deg > _TOLD_TURN_DEG:
-            said.append(
-                f"the IMU frame is rotated by {turned_deg:.1f} deg from the estimate's body "
+        elif angle_deg > _TOLD_TURN_DEG:
+            sentences.append(
+                f"the IMU frame is rotated by {angle_deg:.1f} deg from the estimate's body "
                 "(estimated from rotations, applied)"
             )
         if abs(self.offset_s) > _TOLD_OFFSET_S:
             way = "behind" if self.offset_s > 0.0 else "ahead of"
-            said.append(
+            sentences.append(
                 f"the estimate's clock is {abs(self.offset_s):.3f} s {way} the IMU's (applied)"
             )
-        return said
+        return sentences
 
 
 def mounting_of(states: Floats, imu: Floats) -> Mounting:
     """Estimate the mounting from rotations in 0.5 s of states (N, 9) and IMU rows (M, 8)."""
-    raw = turned_by_gyro(imu[:, TIME], imu[:, GYRO])
+    raw = rotations_by_gyro(imu[:, TIME], imu[:, GYRO])
     begins, known = window_begins(states, 0, _INCREMENT_S)
     ends = np.flatnonzero(known)
     begins = begins[ends]
@@ -153,7 +153,7 @@ def _refined(
     weak, overlap = np.linalg.inv(covariance), float(np.median(np.diff(times[ends]))) / _BIAS_S
     own = between(states[begins, QUATERNION], states[ends, QUATERNION])
     for _ in range(_PASSES):
-        track = turned_by_gyro(imu[:, TIME], imu[:, GYRO] - bias)
+        track = rotations_by_gyro(imu[:, TIME], imu[:, GYRO] - bias)
         matrices = lie.to_matrix(track).reshape(-1, 9)
         steps = 0.5 * (matrices[1:] + matrices[:-1]) * np.diff(imu[:, TIME])[:, None]
         integral = np.concatenate([np.zeros((1, 9)), np.cumsum(steps, axis=0)])

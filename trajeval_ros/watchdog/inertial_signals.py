@@ -6,7 +6,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.inertial import turned_by_gyro
+from trajeval_ros.geometry.inertial import rotations_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.inertial_mounting import (
@@ -139,7 +139,7 @@ class InertialSignals(Comparison):
         rows = np.zeros((len(part), _IMU_WIDTH))
         rows[:, :IMU_WIDTH] = part
         first = known[-1, _TRACK] if len(known) else np.array([0.0, 0.0, 0.0, 1.0])
-        rows[:, _TRACK] = turned_by_gyro(part[:, TIME], part[:, GYRO] - mounting.bias, first)
+        rows[:, _TRACK] = rotations_by_gyro(part[:, TIME], part[:, GYRO] - mounting.bias, first)
         at = np.clip(part[:, TIME] - mounting.offset_s, waiting[0, TIME], waiting[-1, TIME])
         body = slerp_at(waiting[:, TIME], waiting[:, QUATERNION], at)
         sensor = lie.multiply(body, mounting.rotation[None])

@@ -111,7 +111,7 @@ def feed(watchdog: Watchdog, run: WatchedRun) -> dict[str, Readings]:
 def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
     """Feed all sources in slices of time, as in a live run, and yield the signals."""
     estimate, imu = run.estimate, run.imu
-    velocities, receptions = _body_velocities(estimate), estimate.reading.receptions
+    velocities, receive_times = _body_velocities(estimate), estimate.reading.receive_times
     others: dict[str, tuple[Stamps, Floats | None, Floats | None]] = {}
     if imu is not None:
         others["imu"] = imu.stamps, imu.rates, imu.accelerations
@@ -136,7 +136,7 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
             estimate.positions[rows],
             estimate.quaternions[rows],
             None if velocities is None else velocities[rows],
-            None if receptions is None else receptions.times[rows],
+            None if receive_times is None else receive_times.times[rows],
         )
 
 

@@ -78,9 +78,9 @@ class TwistSignals:
         factor = float(twist.sum() / max(float(moved.sum()), 1e-9))
         if factor and abs(np.log(factor)) > _LEAST_LOG_FACTOR:
             is_kmh = abs(factor / _KMH - 1.0) < _NEAR_KMH
-            said = ", as if it were in km/h," if is_kmh else ""
+            unit = ", as if it were in km/h," if is_kmh else ""
             self.notices.append(
-                f"the twist is {factor:.3g} times the motion of the pose{said} and "
+                f"the twist is {factor:.3g} times the motion of the pose{unit} and "
                 "nav_msgs/Odometry requires m/s; correct the estimator"
             )
 

@@ -34,12 +34,12 @@ def payloads(source: InertialReadings) -> list[bytes]:
     return [row.tobytes() for row in rows]
 
 
-def assert_same(found: InertialReadings, expected: InertialReadings, rows: Any = ...) -> None:
-    np.testing.assert_array_equal(found.stamps, expected.stamps[rows])
-    np.testing.assert_array_equal(found.rates, expected.rates[rows])
-    assert found.accelerations is not None
+def assert_same(outcome: InertialReadings, expected: InertialReadings, rows: Any = ...) -> None:
+    np.testing.assert_array_equal(outcome.stamps, expected.stamps[rows])
+    np.testing.assert_array_equal(outcome.rates, expected.rates[rows])
+    assert outcome.accelerations is not None
     assert expected.accelerations is not None
-    np.testing.assert_array_equal(found.accelerations, expected.accelerations[rows])
+    np.testing.assert_array_equal(outcome.accelerations, expected.accelerations[rows])
 
 
 def test_messages_of_an_imu_are_decoded() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from strategies import seeds
 
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.received_transforms import (
     ReceivedChain,
@@ -30,16 +30,16 @@ MAP, ODOM, ARM, FIXED = ("map", "odom"), ("odom", "base"), ("tip", "base"), ("ti
 
 
 def columns_of(poses: Trajectory) -> dict[str, Array]:
-    receptions = poses.reading.receptions
-    assert receptions is not None
-    assert receptions.corrected is not None
+    receive_times = poses.reading.receive_times
+    assert receive_times is not None
+    assert receive_times.corrected is not None
     assert poses.quaternions is not None
     return {
         "stamps": poses.stamps,
         "positions": poses.positions,
         "quaternions": poses.quaternions,
-        "times": receptions.times,
-        "corrected": receptions.corrected,
+        "times": receive_times.times,
+        "corrected": receive_times.corrected,
     }
 
 
@@ -73,9 +73,9 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
     way, leading, _ = find_chain(edges, "map", "tool", "t")
     assert leading == ODOM
     result = compose_received(ReceivedChain(edges, way, leading), by)
-    receptions = result.reading.receptions
-    assert receptions is not None
-    assert receptions.corrected is not None
+    receive_times = result.reading.receive_times
+    assert receive_times is not None
+    assert receive_times.corrected is not None
     assert result.quaternions is not None
     odometry = received[ODOM]  # it has the most transforms
     is_newer = np.diff(np.maximum.accumulate(odometry["stamp"]), prepend=0) > 0
@@ -83,7 +83,7 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
     events = sorted({int(at) for times in used for at in times})
     first = max(int(item["time"].min()) for item in received.values())
     events = [event for event in events if event >= first]
-    assert receptions.times.tolist() == events
+    assert receive_times.times.tolist() == events
     for row, now in enumerate(events):
         product, corrected = np.eye(4), 0
         for key, power in ((MAP, 1), (ODOM, 1), (ARM, -1), (FIXED, 1)):
@@ -100,7 +100,7 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
             else:
                 corrected = max(corrected, int(item["time"][newest]))
             product = product @ np.linalg.matrix_power(as_matrix(item["numbers"][newest]), power)
-        assert receptions.corrected[row] == corrected
+        assert receive_times.corrected[row] == corrected
         np.testing.assert_allclose(result.positions[row], product[:3, 3], atol=1e-12)
         rotated = Rotation.from_quat(result.quaternions[row]).as_matrix()
         np.testing.assert_allclose(rotated, product[:3, :3], atol=1e-12)

@@ -110,19 +110,19 @@ def test_estimates_are_in_the_order_of_their_configuration(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         (None, "no live run in"),
         ("d.states", "is not a file of states"),
         ("d.pairs", "is of version 0.3, which recorded pairs; read it with that version"),
     ],
 )
-def test_what_is_no_run_is_one_sentence(tmp_path: Path, name: str | None, said: str) -> None:
+def test_what_is_no_run_is_one_sentence(tmp_path: Path, name: str | None, message: str) -> None:
     if name is not None:
         (tmp_path / name).write_bytes(b"nothing")
     if name == "d.states":
         write_groundtruth(tmp_path)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         evaluate_folder(tmp_path)
 
 
@@ -272,7 +272,7 @@ def test_poses_of_an_unknown_reception_are_not_available(tmp_path: Path, unknown
     available = result.available.numbers
     assert len(result.evaluation.association) == COUNT
     if unknown == COUNT:
-        assert "no times of reception" in available.why_withheld
+        assert "no receive times" in available.why_withheld
         return
     assert available.latency_s is not None
     assert available.latency_s.max == pytest.approx(STEP_NS / 5e9)

@@ -68,8 +68,8 @@ def assert_prefix(read: RecordedStates, chunks: list[Trajectory]) -> int:
 
 
 def times_of(states: Trajectory) -> NDArray[np.int64]:
-    assert states.reading.receptions is not None
-    return states.reading.receptions.times
+    assert states.reading.receive_times is not None
+    return states.reading.receive_times.times
 
 
 @given(seed=seeds, counts=st.lists(st.integers(1, 4), min_size=1, max_size=5), data=st.data())

@@ -164,7 +164,7 @@ BASE = joint(1, 2)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"stamps_ns": None, "block": None}, "has no stamps_ns, block"),
         ({"stamps_ns": np.array([0.0, 2.0**63])}, "are not all timestamps"),
@@ -186,11 +186,11 @@ BASE = joint(1, 2)
     ],
 )  # fmt: skip
 def test_what_is_no_joint_covariance_is_refused(
-    tmp_path: Path, changes: dict[str, Any], said: str
+    tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     path = tmp_path / "x.npz"
     write_arrays(path, arrays(BASE, **changes))
-    with pytest.raises(InputError, match=f"x.npz: .*{said}"):
+    with pytest.raises(InputError, match=f"x.npz: .*{message}"):
         read_joint_covariance(path)
 
 

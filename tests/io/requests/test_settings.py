@@ -156,7 +156,7 @@ def test_values_of_yaml_are_those_of_the_command_line(
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "message"),
     [
         ("max_gap", "soon", "max_gap must be a number, not 'soon'"),
         ("max_gap", True, "max_gap must be a number, not True"),
@@ -166,8 +166,8 @@ def test_values_of_yaml_are_those_of_the_command_line(
         ("score", 3, "score must be a mapping"),
     ],
 )
-def test_values_of_another_type_are_refused(name: str, value: Any, said: str) -> None:
-    with pytest.raises(SettingsError, match=said):
+def test_values_of_another_type_are_refused(name: str, value: Any, message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
         SETTINGS[name].of_yaml(value)
 
 

@@ -39,7 +39,7 @@ def test_requirements_are_met_or_told(text: str, unmet: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "said"),
+    ("path", "message"),
     [
         ("ate.position_m", "ate.position_m is not a number; add one of rmse, count"),
         ("ate", "ate is not a number; add one of position_m"),
@@ -54,9 +54,9 @@ def test_requirements_are_met_or_told(text: str, unmet: str) -> None:
         ("re.9m.x", "results have no '9m' in 're.9m.x'; did you mean '8m'?"),
     ],
 )
-def test_requirements_on_what_is_no_number_are_refused(path: str, said: str) -> None:
+def test_requirements_on_what_is_no_number_are_refused(path: str, message: str) -> None:
     with pytest.raises(SettingsError) as raised:
         Requirement.parse(f"{path} < 1").unmet(RUN, ["8m", "0.5m"])
-    assert str(raised.value).startswith(said)
+    assert str(raised.value).startswith(message)
     for text in (f"{path} = 1", "< 1", f"{path} < x", f"{path} <", f"{path} < 1e"):
         assert is_refused(Requirement.parse, text)

@@ -104,7 +104,7 @@ def test_columns_of_an_array_can_be_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("array", "said"),
+    ("array", "message"),
     [
         (np.zeros((5, 9)), r"has shape \(5, 9\); supported"),
         (np.zeros((0, 8)), r"has shape \(0, 8\)"),
@@ -116,8 +116,8 @@ def test_columns_of_an_array_can_be_named(tmp_path: Path) -> None:
         (np.arange(35.0).reshape(5, 7), "unclear which of the 7 columns are the quaternion"),
     ],
 )
-def test_other_arrays_are_refused(tmp_path: Path, array: np.ndarray, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_other_arrays_are_refused(tmp_path: Path, array: np.ndarray, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         read_trajectory(saved(tmp_path / "array.npy", array))
 
 

@@ -45,7 +45,7 @@ def test_the_time_of_the_header_precedes_that_of_the_arrival(before: str, tmp_pa
     times = [LATER] * len(before.split(","))
     read = read_trajectory(written(tmp_path / "a.csv", names, *times, SECONDS, NANOSECONDS))
     assert read.stamps.tolist() == STAMPS
-    received = read.reading.receptions
+    received = read.reading.receive_times
     assert (received is not None) == ("receive_time" in before)
     if received is not None:
         assert received.times.tolist() == [int(item[:-3]) * 10**9 + 250_000_000 for item in LATER]

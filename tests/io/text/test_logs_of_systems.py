@@ -29,13 +29,13 @@ def write(path: Path, rows: Sequence[str]) -> Path:
     return path
 
 
-def check(found: Trajectory, times: Sequence[float] | None = None, atol: float = 1e-6) -> None:
+def check(outcome: Trajectory, times: Sequence[float] | None = None, atol: float = 1e-6) -> None:
     expected = TIMES if times is None else np.array(times)
-    np.testing.assert_allclose(found.stamps / 1e9, expected, atol=1e-6, rtol=0)
-    np.testing.assert_allclose(found.positions, POSITIONS, rtol=0, atol=atol)
-    assert found.rotations is not None
+    np.testing.assert_allclose(outcome.stamps / 1e9, expected, atol=1e-6, rtol=0)
+    np.testing.assert_allclose(outcome.positions, POSITIONS, rtol=0, atol=atol)
+    assert outcome.rotations is not None
     # Half of a last digit in four components, and twice that as an angle.
-    assert (found.rotations * TURNS.inv()).magnitude().max() < 4.0 * atol
+    assert (outcome.rotations * TURNS.inv()).magnitude().max() < 4.0 * atol
 
 
 def numbers(values: np.ndarray, sign: str = " ") -> str:

@@ -169,15 +169,15 @@ KINDS: dict[str, tuple[str, bool, bool]] = {
 }
 
 
-def assert_right(found: Trajectory, *, rotations: bool = True, times: bool = True) -> None:
-    np.testing.assert_allclose(found.positions, PLACES, rtol=0, atol=1e-6)
+def assert_right(outcome: Trajectory, *, rotations: bool = True, times: bool = True) -> None:
+    np.testing.assert_allclose(outcome.positions, PLACES, rtol=0, atol=1e-6)
     if rotations:
-        assert found.quaternions is not None
-        between = Rotation.from_quat(found.quaternions).inv() * TURNS
+        assert outcome.quaternions is not None
+        between = Rotation.from_quat(outcome.quaternions).inv() * TURNS
         assert between.magnitude().max() < 1e-6
     if times:
-        assert found.reading.stamped
-        assert found.stamps.tolist() == STAMPS.tolist()
+        assert outcome.reading.stamped
+        assert outcome.stamps.tolist() == STAMPS.tolist()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -337,9 +337,9 @@ def test_receptions_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     header = "t,x,y,z,received"
     path.write_text(rows(STAMPS, PLACES, STAMPS + 1_234_567, separator=",", header=header))
-    receptions = read_trajectory(path).reading.receptions
-    assert receptions is not None
-    assert receptions.times.tolist() == (STAMPS + 1_234_567).tolist()
+    receive_times = read_trajectory(path).reading.receive_times
+    assert receive_times is not None
+    assert receive_times.times.tolist() == (STAMPS + 1_234_567).tolist()
 
 
 @pytest.mark.parametrize("unit", [1, 10**9])

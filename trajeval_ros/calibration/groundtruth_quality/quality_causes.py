@@ -218,6 +218,8 @@ def longest_of(spans: Sequence[PoseSpan], what: str, origin: int) -> str:
     return f"{number}; the longest is {longest.duration_s:.2f} s at {second:.2f} s."
 
 
-def _cause(name: str, value: float, unit: str, sentence: str, *, significant: bool) -> GroundtruthCause:
+def _cause(
+    name: str, value: float, unit: str, sentence: str, *, significant: bool
+) -> GroundtruthCause:
     verdict = SIGNIFICANT if significant else INSIGNIFICANT
     return GroundtruthCause(name, verdict, float(value), unit, sentence=sentence * significant)

@@ -58,7 +58,7 @@ class RigStates(NamedTuple):
 
     knots: Indices  # (S,), the knot before
     since_s: Floats  # (S, 1), tau
-    turned: Floats  # (S, 3, 3), dR
+    rotated: Floats  # (S, 3, 3), dR
     moved: Floats  # (S, 3), dp
     rotations: Floats  # (S, 3, 3), R_WI
     positions: Floats  # (S, 3), p_WI
@@ -72,7 +72,7 @@ class Predicted(NamedTuple):
     rows: Indices  # (S,), in the groundtruth
     knots: Indices  # (S,), the knot before
     since_s: Floats  # (S, 1), tau
-    turned: Floats  # (S, 3, 3), dR
+    rotated: Floats  # (S, 3, 3), dR
     arms: Floats  # (S, 3), dp + dR l
     marker_velocities: Floats  # (S, 3)
     rates: Floats  # (S, 3), angular velocities in I
@@ -93,8 +93,8 @@ def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: 
             rows,
             result.knots,
             result.since_s,
-            result.turned,
-            result.moved + times(result.turned, rig.lever),
+            result.rotated,
+            result.moved + times(result.rotated, rig.lever),
             result.velocities + times(rotated, np.cross(result.rates, rig.lever)),
             result.rates,
             result.positions + times(rotated, rig.lever) - samples.positions[rows],
@@ -184,8 +184,8 @@ def averaged(result: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
         error, tau1, tau2, arm, rotation, tau_turn, speed = (
             _means(item, of_position[part], starts)
             for item in (
-                own.position_errors, tau, tau**2, own.arms, own.turned,
-                tau[..., None] * own.turned, own.marker_velocities,
+                own.position_errors, tau, tau**2, own.arms, own.rotated,
+                tau[..., None] * own.rotated, own.marker_velocities,
             )
         )  # fmt: skip
         by_state[:, :3, 0:3] = -start @ so3.skew(arm)
@@ -198,7 +198,7 @@ def averaged(result: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
         by_rig[:, :3, GRAVITY] = 0.5 * tau2[..., None] * tangents(rig.gravity)
         error, tau1, rotation, rate = (
             _means(item, of_rotation[part], starts)
-            for item in (own.rotation_errors, tau, own.turned, own.rates)
+            for item in (own.rotation_errors, tau, own.rotated, own.rates)
         )
         back = so3.inverse_left_jacobian(-error)
         into = back @ rig.body.T

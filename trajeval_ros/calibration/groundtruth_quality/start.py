@@ -18,7 +18,7 @@ from trajeval_ros.calibration.hand_eye import closest_rotation, robust_rotation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.inertial import InertialReadings, turned_by_gyro
+from trajeval_ros.geometry.inertial import InertialReadings, rotations_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.geometry.se3 import times
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -140,8 +140,8 @@ def turns_in_place(positions: Floats, rates: Floats) -> bool:
 def guess_of(groundtruth: Trajectory, imu: ImuSeconds) -> OffsetGuess:
     """Return the offset of the groundtruth's clock by the correlation of turn rates or swings."""
 
-    def at(seconds: Floats, positions: Floats, turned: Floats | None = None) -> Trajectory:
-        return Trajectory(imu.origin + np.rint(seconds * 1e9).astype(np.int64), positions, turned)
+    def at(seconds: Floats, positions: Floats, rotated: Floats | None = None) -> Trajectory:
+        return Trajectory(imu.origin + np.rint(seconds * 1e9).astype(np.int64), positions, rotated)
 
     # Without repeated poses a frozen interval is a gap, and its end no fast turn.
     poses = groundtruth.positions if groundtruth.quaternions is None else groundtruth.quaternions
@@ -149,12 +149,12 @@ def guess_of(groundtruth: Trajectory, imu: ImuSeconds) -> OffsetGuess:
     own_s = (groundtruth.stamps - imu.origin) / NANOSECONDS
     meets = imu.seconds[0] < own_s[-1] and own_s[0] < imu.seconds[-1]
     search_s = SEARCH_S if meets else None  # all overlaps, for clocks of different epochs
-    turned = turned_by_gyro(imu.seconds, imu.rates)
+    rotated = rotations_by_gyro(imu.seconds, imu.rates)
     if groundtruth.quaternions is None:
-        signal, by_imu = "speed", at(*_swings_of(imu, turned))
+        signal, by_imu = "speed", at(*_swings_of(imu, rotated))
         groundtruth = at(*_swings(own_s, groundtruth.positions))
     else:
-        signal, by_imu = "angular rate", at(imu.seconds, np.zeros_like(imu.rates), turned)
+        signal, by_imu = "angular rate", at(imu.seconds, np.zeros_like(imu.rates), rotated)
     return guess_offset_by(by_imu, groundtruth, 0.0, search_s, signal)
 
 
@@ -170,11 +170,11 @@ def _swings(seconds: Floats, positions: Floats) -> tuple[Floats, Floats]:
     return seconds[inside], positions[inside]
 
 
-def _swings_of(imu: ImuSeconds, turned: Floats) -> tuple[Floats, Floats]:
+def _swings_of(imu: ImuSeconds, rotated: Floats) -> tuple[Floats, Floats]:
     """Return the times and swings of an IMU, in the axes of its orientations (N, 4)."""
     from scipy.integrate import cumulative_trapezoid
 
-    moved = lie.rotate(turned, imu.accelerations)
+    moved = lie.rotate(rotated, imu.accelerations)
     for _ in range(2):
         moved = cumulative_trapezoid(moved, imu.seconds, axis=0, initial=0.0)
     return _swings(imu.seconds, moved)
@@ -184,20 +184,20 @@ def _both_swings(
     seconds: Floats, positions: Floats, imu: ImuSeconds
 ) -> list[tuple[Floats, Floats]]:
     """Return the times and swings of positions (N, 3) and of an IMU, each in its own axes."""
-    by_gyro = turned_by_gyro(imu.seconds, imu.rates)
+    by_gyro = rotations_by_gyro(imu.seconds, imu.rates)
     return [_swings(seconds, positions), _swings_of(imu, by_gyro)]
 
 
 def _require_metres(samples: TruthSamples, imu: ImuSeconds, name: str) -> None:
     """Refuse positions whose swings are clearly longer or shorter than those of the IMU."""
     begins, ends = (samples.seconds + item for item in _SWING_S)
-    theirs, ours = (
+    by_pose, by_imu = (
         np.linalg.norm(columns_at(*swing, ends) - columns_at(*swing, begins), axis=1)
         for swing in _both_swings(samples.seconds, samples.positions, imu)
     )
-    if not (theirs.any() and ours.any()):
+    if not (by_pose.any() and by_imu.any()):
         return
-    ratio, alike = float(theirs @ ours / (ours @ ours)), np.corrcoef(theirs, ours)[0, 1]
+    ratio, alike = float(by_pose @ by_imu / (by_imu @ by_imu)), np.corrcoef(by_pose, by_imu)[0, 1]
     if alike > _ALIKE and abs(math.log(ratio)) > math.log(_OTHER_UNIT):
         raise InputError(
             f"the motion of {name} is {ratio:.3g} times that of the IMU; give positions in metres"
@@ -209,14 +209,14 @@ def rough_orientations(seconds: Floats, positions: Floats, imu: ImuSeconds) -> F
 
     Of a few seconds, the gyroscope gives them up to the rotation between swings in both axes.
     """
-    by_gyro = turned_by_gyro(imu.seconds, imu.rates)
-    theirs, ours = (
+    by_gyro = rotations_by_gyro(imu.seconds, imu.rates)
+    by_pose, by_imu = (
         np.gradient(columns_at(*swings, seconds), axis=0)
         for swings in _both_swings(seconds, positions, imu)
     )
     count = max(1, int((seconds[-1] - seconds[0]) / _WINDOW_S))
     windows = np.array_split(np.arange(len(seconds)), count)
-    rotations = np.stack([robust_rotation(theirs[window], ours[window]) for window in windows])
+    rotations = np.stack([robust_rotation(by_pose[window], by_imu[window]) for window in windows])
     of_rows = np.repeat(lie.from_matrices(rotations), [len(window) for window in windows], axis=0)
     return lie.multiply(of_rows, slerp_at(imu.seconds, by_gyro, seconds))
 
@@ -259,7 +259,7 @@ def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tup
         lie.rotation_vector(lie.multiply(lie.conjugate(rotations[:-1]), rotations[1:]))
         for rotations in (
             slerp_at(samples.seconds, samples.quaternions, ends),
-            slerp_at(imu.seconds, turned_by_gyro(imu.seconds, imu.rates), ends),
+            slerp_at(imu.seconds, rotations_by_gyro(imu.seconds, imu.rates), ends),
         )
     )
     bias = np.zeros(3)

@@ -9,7 +9,7 @@ import numpy as np
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import DeclaredReset
+from trajeval_ros.geometry.source_info import DeclaredReset
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_columns import PoseColumns
 

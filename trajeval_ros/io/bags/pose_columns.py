@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Floats, at_rows
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.geometry.valid_poses import add_counts
 
 Frames = tuple[int, str, str]  # first row, frame and child frame
@@ -43,7 +43,7 @@ class PoseColumns:
     flags: NDArray[np.int64] | None = None  # (N, 2) of PX4: reset counters and quality, or None
     dropped: Mapping[str, int] = field(default_factory=dict)  # messages without a pose, by reason
     body_rates: Floats | None = None  # (N, 3), rad/s, in the body, or None
-    receptions: ReceiveTimes | None = None  # of the N poses of a bag
+    receive_times: ReceiveTimes | None = None  # of the N poses of a bag
     as_received: PoseColumns | None = None  # of paths, the last pose of every message
 
     def picked(self, usable: Booleans, reason: str) -> PoseColumns:
@@ -64,7 +64,7 @@ class PoseColumns:
 
     def rows_of(self, usable: NDArray[Any]) -> PoseColumns:
         """Return the columns of the poses of a mask or of indices, with unchanged frames."""
-        return at_rows(self, (*COLUMNS, "receptions"), usable)
+        return at_rows(self, (*COLUMNS, "receive_times"), usable)
 
     def joined(self, other: PoseColumns) -> PoseColumns:
         """Return these poses followed by others with the same columns; frames are not joined."""

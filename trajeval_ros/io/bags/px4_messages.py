@@ -140,7 +140,7 @@ def poses_of_px4(
         return _fixes(fields, poses)
     if message_type == ATTITUDE:
         quaternions = fields.of("q", 4)
-        poses = poses.replaced(quaternions=_turned(quaternions, are_ned == _NED))
+        poses = poses.replaced(quaternions=_rotated(quaternions, are_ned == _NED))
         return _usable(poses, are_ned, no_orientation=~_is_unit(quaternions))
     counters = [fields.codes(f"{item}reset_counter") for item in ("", "xy_", "z_", "heading_")]
     resets = np.array([1 << 24, 1 << 16, 1 << 8, 1]) @ counters
@@ -218,7 +218,7 @@ def _odometry(fields: _Numbers, poses: PoseColumns, *, covariance: bool) -> Pose
     no_orientation = ~no_position & ~_is_unit(quaternions)
     unknown = ~no_position & ~no_orientation & (frames != _NED) & (frames != _FRD)
     usable = ~(no_position | no_orientation | unknown)
-    turns = _turned(quaternions, frames == _NED)
+    turns = _rotated(quaternions, frames == _NED)
     rotations = lie.to_matrix(np.where(usable[:, None], turns, [0.0, 0.0, 0.0, 1.0]))
     worlds = np.where((frames == _NED)[:, None, None], _M, _B)
     in_body = of_velocity == _BODY
@@ -283,7 +283,7 @@ def _usable(
     )
 
 
-def _turned(quaternions: Floats, are_ned: Booleans) -> Floats:
+def _rotated(quaternions: Floats, are_ned: Booleans) -> Floats:
     """Return quaternions (N, 4), wxyz of FRD in NED or FRD, as xyzw of FLU in ENU or FLU."""
     w, x, y, z = quaternions.T
     ned = np.sqrt(0.5) * np.stack([x + y, x - y, w - z, w + z], axis=1)

@@ -1,7 +1,7 @@
 """The pose between two frames as a receiver knows it.
 
-Every transform holds from its reception on. Corrections such as map to odom may be dated into the
-future or the past, and seldom come; a receiver uses the newest one that it has, whatever its
+Every transform holds from its receive time on. Corrections such as map to odom may be dated into
+the future or the past, and seldom come; a receiver uses the newest one that it has, whatever its
 timestamp. Only the leading edge, which dates the poses, is filtered by timestamps.
 """
 
@@ -14,19 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
-from trajeval_ros.geometry.stamp_trust import OutlierStamps
+from trajeval_ros.geometry.outlier_stamps import OutlierStamps
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import valid_mask
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, Way, compose
 from trajeval_ros.metrics.stream_health import UNKNOWN
 
-_AFTER_ALL = int(np.iinfo(np.int64).max)  # later than every reception
-# A transform: timestamp in nanoseconds, translation and quaternion xyzw, and time of reception in
+_AFTER_ALL = int(np.iinfo(np.int64).max)  # later than every receive time
+# A transform: timestamp in nanoseconds, translation and quaternion xyzw, and receive time in
 # nanoseconds, which may be `UNKNOWN`.
 TRANSFORM = np.dtype([("stamp", "<i8"), ("numbers", "<f8", 7), ("time", "<i8")])
-Transforms = NDArray[np.void]  # (N,) in the order of their reception
+Transforms = NDArray[np.void]  # (N,) in the order of their receive time
 NO_TRANSFORMS: Transforms = np.empty(0, TRANSFORM)
 
 
@@ -38,7 +38,7 @@ def transforms_of(stamps: Stamps, numbers: Floats, times: Stamps) -> Transforms:
 
 
 class ReceivedChain:
-    """Composes the pose of a frame in another at every reception of a transform between them.
+    """Composes the pose of a frame in another at every receive time of a transform between them.
 
     The poses do not depend on how the transforms are divided into calls, so that live and recorded
     ones are the same.
@@ -50,13 +50,13 @@ class ReceivedChain:
         self._static = {key: edges[key] for key, _ in way if edges[key].is_static}
         # The transforms from the ones in use on.
         self._moving = {key: NO_TRANSFORMS for key, _ in way if key not in self._static}
-        self._until = UNKNOWN  # reception of the newest pose
+        self._until = UNKNOWN  # receive time of the newest pose
 
     def poses(self, new: Mapping[EdgeKey, Transforms], *, at_end: bool = False) -> Trajectory:
-        """Return the poses at the receptions of new transforms, as far as these are decided.
+        """Return the poses at the receive times of new transforms, as far as these are decided.
 
         Timestamps are of the newest leading transform; one repeats if only a correction is new. A
-        leading transform whose timestamp is under test delays all poses from its reception on.
+        leading transform whose timestamp is under test delays all poses from its receive time on.
         `at_end`: no transforms will follow.
         """
         for key in self._moving:
@@ -81,7 +81,7 @@ class ReceivedChain:
             if len(rows):
                 self._moving[key] = edge[rows[-1] :]
         self._until = int(events[-1]) if len(events) else self._until
-        reading = SourceInfo(receptions=ReceiveTimes(events, "node", corrected=corrected))
+        reading = SourceInfo(receive_times=ReceiveTimes(events, "node", corrected=corrected))
         return Trajectory(stamps, *compose(held, self._way, places), reading=reading)
 
     def _add(self, key: EdgeKey, new: Transforms, *, at_end: bool) -> None:
@@ -103,7 +103,7 @@ def compose_received(
 ) -> Trajectory:
     """Return the poses of a recording, by moving edge with what its times are."""
     poses = chain.poses({key: item for key, (item, _) in received.items()}, at_end=True)
-    receptions, (_, by) = poses.reading.receptions, received[chain.leading]
-    assert receptions is not None
-    receptions = replace(receptions, by=by.by, recording_s=by.recording_s)
-    return replace(poses, reading=SourceInfo(receptions=receptions))
+    receive_times, (_, by) = poses.reading.receive_times, received[chain.leading]
+    assert receive_times is not None
+    receive_times = replace(receive_times, by=by.by, recording_s=by.recording_s)
+    return replace(poses, reading=SourceInfo(receive_times=receive_times))

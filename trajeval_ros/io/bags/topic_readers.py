@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receptions import LOG, ReceiveTimes
-from trajeval_ros.geometry.stamp_trust import trusted_states
+from trajeval_ros.geometry.outlier_stamps import trusted_states
+from trajeval_ros.geometry.receive_times import LOG, ReceiveTimes
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import Block
@@ -104,7 +104,7 @@ class TransformReader:
     def __init__(self, topic: Topic) -> None:
         self.reading = TopicReading(topic)  # the topic, and the damage found while it is read
         self.undecodable = 0  # number of messages that can't be decoded
-        self.lone = 0  # number of transforms of all edges with an isolated timestamp
+        self.isolated = 0  # number of transforms of all edges with an isolated timestamp
         self._decoders = _Decoders(topic, covariances=False)
         self._parts: dict[EdgeKey, list[tuple[TransformColumns, Stamps, Stamps]]] = {}
 
@@ -118,16 +118,16 @@ class TransformReader:
             self._parts.setdefault(edge, []).append(part)
 
     def received(self, clock: str) -> dict[EdgeKey, tuple[Transforms, ReceiveTimes]]:
-        """Return the transforms of moving edges, and what their times of reception are.
+        """Return the transforms of moving edges, and what their receive times are.
 
-        `clock`: the clock of the receptions, as in `ReceiveTimes.of_bag`.
+        `clock`: the clock of the receive times, as in `ReceiveTimes.of_bag`.
         """
         edges = {}
         for key in () if self._is_static else self._parts:
             stamps, numbers, logged, published = self._in_order(key)
-            receptions = ReceiveTimes.of_bag(logged, published, clock)
-            order = np.argsort(receptions.times, kind="stable")
-            edges[key] = transforms_of(stamps, numbers, receptions.times)[order], receptions
+            receive_times = ReceiveTimes.of_bag(logged, published, clock)
+            order = np.argsort(receive_times.times, kind="stable")
+            edges[key] = transforms_of(stamps, numbers, receive_times.times)[order], receive_times
         return edges
 
     @property
@@ -152,7 +152,7 @@ class TransformReader:
                 stamps, numbers = stamps[timed], numbers[timed]
                 rows, trust = trusted_states(stamps)
                 stamps, numbers = stamps[rows], numbers[rows]
-                self.lone += trust.lone
+                self.isolated += trust.isolated
             edges[key] = Edge.from_columns(stamps, numbers, is_static=self._is_static)
         return edges
 
@@ -284,7 +284,7 @@ class _Poses:
         self._messages += len(log_times)
 
     def done(self) -> PoseColumns:
-        """Return all poses in order of their log times, with their times of reception."""
+        """Return all poses in order of their log times, with their receive times."""
         none = np.zeros(0, dtype=np.int64)
         self._add(self._decoders.nothing(), none, none)
         columns = {name: column.done() for name, column in self._columns.items()}
@@ -300,7 +300,7 @@ class _Poses:
             frames=frames_changes(frames),
             undecodable=self._undecodable,
             dropped=self._dropped,
-            receptions=replace(
+            receive_times=replace(
                 ReceiveTimes.of_bag(columns["log"], columns["published"], self._received),
                 body_rates=columns.get("body_rates"),
             ),
@@ -346,10 +346,10 @@ class _LastPath:
         poses = _Poses(self._decoders, LOG)
         poses.add(key, block)
         parts = [poses.done()] if self._merged is None else [self._merged, poses.done()]
-        logged = np.concatenate([part.receptions.times for part in parts if part.receptions])
+        logged = np.concatenate([part.receive_times.times for part in parts if part.receive_times])
         every = parts[0] if len(parts) == 1 else parts[0].joined(parts[1])
         every = every.replaced(
-            receptions=ReceiveTimes(logged, LOG),
+            receive_times=ReceiveTimes(logged, LOG),
             undecodable=sum(part.undecodable for part in parts),
         )
         order = np.lexsort((logged, every.stamps))

@@ -13,8 +13,8 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark, note, warning
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.geometry.reading import FORMAT, SourceInfo
-from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
+from trajeval_ros.geometry.outlier_stamps import LONE, trusted_states
+from trajeval_ros.geometry.source_info import FORMAT, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.bag import Advance, Bag
@@ -218,15 +218,15 @@ def _with_times(
     columns: PoseColumns, remarks: tuple[Remark, ...]
 ) -> tuple[PoseColumns, tuple[Remark, ...]]:
     """Return poses with log times if all timestamps are zero; not those of one message."""
-    rows, receptions = columns.rows, columns.receptions
-    if columns.stamps.any() or receptions is None or not len(rows) or rows[0] == rows[-1]:
+    rows, receive_times = columns.rows, columns.receive_times
+    if columns.stamps.any() or receive_times is None or not len(rows) or rows[0] == rows[-1]:
         return columns, remarks
     text = (
         "all timestamps of the headers are zero: log times used, which include delays; "
         "--time-offset auto estimates the delay"
     )
     remark = warning("log_times", text)
-    return columns.replaced(stamps=receptions.times), (*remarks, remark)
+    return columns.replaced(stamps=receive_times.times), (*remarks, remark)
 
 
 def trajectory_of_columns(
@@ -279,7 +279,9 @@ def trajectory_of_columns(
             columns.positions,
             columns.fix_quality,
             SourceInfo(
-                dropped=dropped, remarks=(*remarks, *receivers), receptions=columns.receptions
+                dropped=dropped,
+                remarks=(*remarks, *receivers),
+                receive_times=columns.receive_times,
             ),
             child_frame=columns.frames[0][1],
             name=name.strip("/"),
@@ -302,7 +304,7 @@ def trajectory_of_columns(
             dropped=dropped,
             remarks=(*remarks, *told, *frames, *judgement),
             resets=resets,
-            receptions=columns.receptions,
+            receive_times=columns.receive_times,
             as_received=None if columns.as_received is None else _as_received(columns.as_received),
         ),
     )
@@ -311,17 +313,17 @@ def trajectory_of_columns(
 
 def _as_received(columns: PoseColumns) -> Trajectory:
     rows = columns.rows_of(trusted_states(columns.stamps)[0])
-    reading = SourceInfo(receptions=rows.receptions)
+    reading = SourceInfo(receive_times=rows.receive_times)
     return Trajectory.from_columns(rows.stamps, rows.positions, rows.quaternions, reading)
 
 
 def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
     """Return the states without isolated timestamps, in order of arrival."""
     rows, trust = trusted_states(trajectory.stamps)
-    if not trust.lone:
+    if not trust.isolated:
         return trajectory
     trusted = trajectory[rows]
-    reading = trusted.reading.with_dropped({LONE: trust.lone})
+    reading = trusted.reading.with_dropped({LONE: trust.isolated})
     return replace(trusted, reading=reading.remarked(note(LONE, trust.message)))
 
 
@@ -363,7 +365,7 @@ def _transform_trajectory(
         reading=SourceInfo(
             dropped={
                 "undecodable": sum(item.undecodable for item in tree),
-                LONE: sum(item.lone for item in tree),
+                LONE: sum(item.isolated for item in tree),
             },
             remarks=(note(FORMAT, "format: TF"), *remarks),
             as_received=received,

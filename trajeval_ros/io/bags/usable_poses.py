@@ -62,11 +62,11 @@ def _velocities(columns: PoseColumns) -> Floats | None:
     lengths = np.linalg.norm(quaternions, axis=1)
     usable = np.isfinite(lengths) & (lengths > 1e-6)
     if usable.any():
-        (velocities[usable],) = lie.by_blocks(_turned, quaternions[usable], body[usable])
+        (velocities[usable],) = lie.by_blocks(_rotated, quaternions[usable], body[usable])
     return velocities
 
 
-def _turned(quaternions: Floats, vectors: Floats) -> tuple[Floats]:
+def _rotated(quaternions: Floats, vectors: Floats) -> tuple[Floats]:
     """Return the vectors (N, 3) turned by quaternions (N, 4) of any length."""
     matrices = lie.to_matrix(lie.normalized(quaternions))
     return (np.einsum("nij,nj->ni", matrices, vectors),)

@@ -45,7 +45,7 @@ def write_bag(
     """Write a bag directory, which gets its name when it is complete.
 
     Equal trajectories give equal bytes: messages are in order of their log times, which are the
-    times of reception of the trajectory, or else the stamps.
+    receive times of the trajectory, or else the stamps.
 
     Args:
         path: The directory, which must not exist yet; its parent must.
@@ -130,10 +130,10 @@ def _serialised(
             payload = encode_path(logged, trajectory.positions, _poses(trajectory)[:, 3:], frame)
             serialised.append((topic, message_type, logged[-1:], [memoryview(payload)]))
             continue
-        receptions = trajectory.reading.receptions
-        if receptions is not None:
-            order = np.argsort(receptions.times, kind="stable")
-            trajectory, logged = trajectory[order], receptions.times[order]
+        receive_times = trajectory.reading.receive_times
+        if receive_times is not None:
+            order = np.argsort(receive_times.times, kind="stable")
+            trajectory, logged = trajectory[order], receive_times.times[order]
         stamps = trajectory.stamps
         if message_type == FIX_TYPE:
             assert trajectory.reading.fixes is not None

@@ -25,8 +25,8 @@ from trajeval_ros.formatting.remarks import Remark, remark_of, warning
 from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.fix_selection import FixRule, trajectory_of_rows
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import DeclaredReset, SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import DeclaredReset, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts
@@ -266,16 +266,16 @@ def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) 
             has_identity_rotations=states.quaternions is not None and quaternions is None,
             dropped=add_counts(reading.dropped, states.reading.dropped),
             remarks=(*reading.remarks, *states.reading.remarks, *remarks),
-            receptions=_in_order(states.reading.receptions),
+            receive_times=_in_order(states.reading.receive_times),
         ),
     )
 
 
-def _in_order(receptions: ReceiveTimes | None) -> ReceiveTimes | None:
-    """Return receptions if all are known, by a clock that did not start again."""
-    if receptions is None or UNKNOWN in receptions.times:
+def _in_order(receive_times: ReceiveTimes | None) -> ReceiveTimes | None:
+    """Return receive times if all are known, by a clock that did not start again."""
+    if receive_times is None or UNKNOWN in receive_times.times:
         return None
-    return receptions if (np.diff(receptions.times) >= 0).all() else None
+    return receive_times if (np.diff(receive_times.times) >= 0).all() else None
 
 
 def _up_axis(words: Mapping[str, str]) -> UpAxis:
@@ -286,14 +286,14 @@ def _up_axis(words: Mapping[str, str]) -> UpAxis:
 
 
 def _with_poses_as_received(estimate: Trajectory, recorded: RecordedStates) -> Trajectory:
-    """Return an estimate with the poses as received, where the reception is known."""
+    """Return an estimate with the poses as received, where the receive time is known."""
     if len(recorded.received):
         received = received_poses(recorded.received, estimate.up)
     else:
-        receptions = recorded.states.reading.receptions
-        assert receptions is not None
-        received = dataclasses.replace(estimate, reading=SourceInfo(receptions=receptions))
-        received = received[receptions.times != UNKNOWN]
+        receive_times = recorded.states.reading.receive_times
+        assert receive_times is not None
+        received = dataclasses.replace(estimate, reading=SourceInfo(receive_times=receive_times))
+        received = received[receive_times.times != UNKNOWN]
     reading = dataclasses.replace(estimate.reading, as_received=received)
     return dataclasses.replace(estimate, reading=reading)
 

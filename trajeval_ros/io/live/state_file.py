@@ -2,10 +2,10 @@
 
 The folder has a file of the groundtruth and one per estimate. A file is a sequence of chunks
 (`chunk_file.py`). The first text describes the stream. Later texts have the run's settings and
-counts, which do not follow from the states. A row is a timestamp and a time of reception, int64
+counts, which do not follow from the states. A row is a timestamp and a receive time, int64
 nanoseconds, and ten float64: position, unit quaternion xyzw, velocity; NaN if not measured.
 Other magic numbers mark other rows: states followed by the covariance, 36 float64 as in the
-message; and the poses as received, if they are not the states themselves: with the reception of
+message; and the poses as received, if they are not the states themselves: with the receive time of
 their correction, and with the angular velocity after the velocity.
 """
 
@@ -23,8 +23,8 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import install_command
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 from trajeval_ros.metrics.stream_health import UNKNOWN
@@ -54,13 +54,13 @@ class StateWriter(ChunkWriter):
         super().__init__(path, _KINDS, {"format": FORMAT, **description})
 
     def append(self, states: Trajectory) -> None:
-        """Add states, with their receptions if known."""
-        receptions, covariances = states.reading.receptions, states.covariances
+        """Add states, with their receive times if known."""
+        receive_times, covariances = states.reading.receive_times, states.covariances
         rows = np.full((len(states), 10), np.nan)
         for part, column in zip(_PARTS, _columns(states), strict=True):
             if column is not None:
                 rows[:, part] = column
-        times = np.full(len(states), UNKNOWN) if receptions is None else receptions.times
+        times = np.full(len(states), UNKNOWN) if receive_times is None else receive_times.times
         columns, magic = [states.stamps, times, rows], _STATES
         if covariances is not None:
             columns, magic = [*columns, covariances.reshape(-1, 36)], _WIDE_STATES
@@ -90,7 +90,7 @@ class RecordedStates:
     description: dict[str, Any]  # description of the stream
     state: dict[str, Any]  # the newest settings and counts; empty if none were written
     later: int  # number of states after these counts
-    # With receptions, which may be `UNKNOWN`. Unknown covariances among known ones are zeros.
+    # With receive times, which may be `UNKNOWN`. Unknown covariances among known ones are zeros.
     states: Trajectory
     received: NDArray[np.void]  # poses as received; empty if they are the states
     torn: int  # number of bytes after the last valid chunk
@@ -140,7 +140,7 @@ def _states_of(parts: list[NDArray[np.void]]) -> Trajectory:
         None if np.isnan(quaternions).any() else quaternions,
         velocities=velocities if np.isfinite(velocities).any() else None,
         covariances=covariances,
-        reading=SourceInfo(receptions=ReceiveTimes(arrived.astype(np.int64), "node")),
+        reading=SourceInfo(receive_times=ReceiveTimes(arrived.astype(np.int64), "node")),
     )
 
 

@@ -185,14 +185,14 @@ def _as_live(
     if evaluation.protocol.is_upright:
         similarity = between_own_axes(similarity, groundtruth_up, estimate_up)
         groundtruth, estimate = (
-            _turned_back(groundtruth, groundtruth_up),
-            _turned_back(estimate, estimate_up),
+            _rotated_back(groundtruth, groundtruth_up),
+            _rotated_back(estimate, estimate_up),
         )
     groundtruth = dataclasses.replace(groundtruth, up=groundtruth_up)
     return PairedStates(groundtruth, estimate), similarity
 
 
-def _turned_back(trajectory: Trajectory, up: UpAxis) -> Trajectory:
+def _rotated_back(trajectory: Trajectory, up: UpAxis) -> Trajectory:
     if up.name == "z":
         return trajectory
     return Similarity(up.matrix.T, np.zeros(3)).trajectory(trajectory)

@@ -13,7 +13,7 @@ SCHEMA = "trajeval-groundtruth/1"
 
 
 def groundtruth_json(
-    truth: str, imu: str | None, original: Trajectory, result: ExaminedGroundtruth
+    truth: str, imu: str | None, original: Trajectory, examined: ExaminedGroundtruth
 ) -> dict[str, Any]:
     """Return verdicts, fits and noise; `truth` and `imu` are the sources."""
     result: dict[str, Any] = {
@@ -22,12 +22,12 @@ def groundtruth_json(
         "imu": imu,
         "causes": [
             {**dataclasses.asdict(cause), "half_width_95": cause.half_width}
-            for cause in result.causes.values()
+            for cause in examined.causes.values()
         ],
-        "poses": dataclasses.asdict(result.poses),
-        "notes": list(result.notes),
+        "poses": dataclasses.asdict(examined.poses),
+        "notes": list(examined.notes),
     }
-    fits = result.fits
+    fits = examined.fits
     if fits is not None:
         rig, noise_m, noise_rad = fits.rig, fits.position_noise_m, fits.rotation_noise_rad
         biases = rig.biases.mean(axis=0).tolist()

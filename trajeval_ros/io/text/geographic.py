@@ -14,7 +14,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 ANY_GGA = rb"(?m)^\$..GGA,"  # start of a line with a fix

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import note, warning
-from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, SourceInfo
+from trajeval_ros.geometry.source_info import FORMAT, NAMED_COLUMNS, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_rotations, check_stamps
 from trajeval_ros.io.text.geographic import ANY_GGA, fixes_of, read_nmea
@@ -38,7 +38,7 @@ from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import is_clock
 from trajeval_ros.io.text.states import states_of
 from trajeval_ros.io.text.table import Rows, TextTable, read_rows
-from trajeval_ros.io.text.times import nanosecond_parts, receptions_of, times_of, with_times
+from trajeval_ros.io.text.times import nanosecond_parts, receive_times_of, times_of, with_times
 
 
 def read_text(
@@ -197,9 +197,9 @@ def trajectory_of(
     )
     if layout.is_geographic:
         return fixes_of(path, stamps, groups, reading)
-    receptions = None
+    receive_times = None
     if RECEIVED in rows.texts and has_times:
-        receptions = receptions_of(path, stamps, rows.texts[RECEIVED])
+        receive_times = receive_times_of(path, stamps, rows.texts[RECEIVED])
     states = states_of(path, layout, groups, len(stamps))
     quaternions, judgement = check_rotations(states.quaternions)
     trajectory = Trajectory.from_columns(
@@ -210,7 +210,7 @@ def trajectory_of(
         up=layout.up, name=path.stem,
         reading=dataclasses.replace(
             reading.remarked(*judgement, *states.remarks), frame_numbers=times.frames,
-            matrices=states.matrices, receptions=receptions,
+            matrices=states.matrices, receive_times=receive_times,
         ),
     )  # fmt: skip
     if not len(trajectory):

@@ -82,7 +82,7 @@ class Rows:
     """The N rows of a table."""
 
     count: int  # N
-    # (N,) by column name: times, frame numbers, times of the day and of reception. As text, since
+    # (N,) by column name: times, frame numbers, times of the day, receive times. As text, since
     # float64 does not have nanoseconds since 1970; as float64 from arrays.
     texts: dict[str, Words | Floats]
     groups: dict[str, Floats]  # (N, width) by the name of the group in the layout

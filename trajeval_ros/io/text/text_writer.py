@@ -13,7 +13,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.text.names import RECEIVED
 from trajeval_ros.io.writing import write_whole
@@ -42,7 +42,7 @@ def write_euroc(path: Path, trajectory: Trajectory) -> None:
     """Write CSV with the columns of EuRoC that the trajectory has.
 
     The columns are the timestamp in nanoseconds, position, quaternion (w first), velocity and
-    biases; then the time of reception in nanoseconds, a column of this package.
+    biases; then the receive time in nanoseconds, a column of this package.
     """
     groups = {
         name: column for name in _EUROC_GROUPS if (column := getattr(trajectory, name)) is not None
@@ -52,9 +52,9 @@ def write_euroc(path: Path, trajectory: Trajectory) -> None:
     )
     if "quaternions" in groups:
         groups["quaternions"] = groups["quaternions"][:, [3, 0, 1, 2]]
-    values, receptions = np.hstack(list(groups.values())), trajectory.reading.receptions
-    header += "" if receptions is None else f",{RECEIVED} [ns]"
-    _write(path, f"#{header}\n", trajectory, values, _integers, ",", receptions)
+    values, receive_times = np.hstack(list(groups.values())), trajectory.reading.receive_times
+    header += "" if receive_times is None else f",{RECEIVED} [ns]"
+    _write(path, f"#{header}\n", trajectory, values, _integers, ",", receive_times)
 
 
 def write_kitti(path: Path, trajectory: Trajectory) -> None:
@@ -80,7 +80,7 @@ def _write(
     values: Floats,
     stamp_texts: Callable[[Sequence[int]], list[str]] | None,
     separator: str,
-    receptions: ReceiveTimes | None = None,
+    receive_times: ReceiveTimes | None = None,
 ) -> None:
     def lines() -> Iterator[str]:
         yield header
@@ -91,8 +91,8 @@ def _write(
                 parts.append(stamp_texts(trajectory.stamps[rows].tolist()))
             if values.shape[1]:
                 parts.append(_rows_of_floats(values[rows], separator))
-            if receptions is not None:
-                parts.append(_integers(receptions.times[rows].tolist()))
+            if receive_times is not None:
+                parts.append(_integers(receive_times.times[rows].tolist()))
             yield "\n".join(map(separator.join, zip(*parts, strict=True))) + "\n"
 
     def write(temporary: Path) -> None:

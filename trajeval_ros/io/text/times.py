@@ -16,8 +16,8 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note, warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.reading import FRAMES_FROM_1
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import FRAMES_FROM_1
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.text.names import (
     AS_NAMED,
@@ -299,7 +299,7 @@ def nanosecond_parts(path: Path, column: Floats) -> Stamps:
     return column.astype(np.int64)
 
 
-def receptions_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes:
+def receive_times_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes:
     """Return the times in the column `received`, exact to the nanosecond.
 
     `stamps`: (N,), nanoseconds. `column`: (N,), words or float64, in a unit of timestamps: the one

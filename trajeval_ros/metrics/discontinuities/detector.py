@@ -76,7 +76,7 @@ class Discontinuities:
             side: `groundtruth` or `estimate`.
             stamps: (N,) int64, nanoseconds, in order of arrival.
             poses: (N, 7), metres and xyzw; (N, 3) without orientations.
-            received: (N,) int64, nanoseconds, times of reception; None if unknown.
+            received: (N,) int64, nanoseconds, receive times; None if unknown.
         """
         if not len(stamps):
             return

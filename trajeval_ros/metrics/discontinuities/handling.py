@@ -55,10 +55,10 @@ def without_clock_steps(
     steps = [event for event in events if event.kind == CLOCK_STEP and event.side == side]
     if not steps:
         return trajectory
-    receptions = trajectory.reading.receptions
+    receive_times = trajectory.reading.receive_times
     order = np.arange(len(trajectory))
-    if receptions is not None:
-        order = np.argsort(receptions.times, kind="stable")
+    if receive_times is not None:
+        order = np.argsort(receive_times.times, kind="stable")
     stamps = trajectory.stamps[order] + offset_ns
     corrected = stamps.copy()
     for event in steps:

@@ -27,13 +27,13 @@ def discontinuities(
         estimate = dataclasses.replace(estimate, stamps=estimate.stamps + offset_ns)
     oriented = groundtruth.quaternions is not None and estimate.quaternions is not None
     search, sides, blocks = Discontinuities(oriented=oriented), [], []
-    times = [item.reading.receptions for item in (groundtruth, estimate)]
+    times = [item.reading.receive_times for item in (groundtruth, estimate)]
     has_times = all(time is not None for time in times)
-    for trajectory, receptions in zip((groundtruth, estimate), times, strict=True):
+    for trajectory, receive_times in zip((groundtruth, estimate), times, strict=True):
         received = None
-        if has_times and receptions is not None:
-            order = np.argsort(receptions.times, kind="stable")
-            trajectory, received = trajectory[order], receptions.times[order]
+        if has_times and receive_times is not None:
+            order = np.argsort(receive_times.times, kind="stable")
+            trajectory, received = trajectory[order], receive_times.times[order]
         columns = [trajectory.positions]
         if oriented and trajectory.quaternions is not None:
             columns.append(trajectory.quaternions)
@@ -55,10 +55,10 @@ def stream_discontinuities(trajectory: Trajectory, side: str) -> list[Event]:
 
     If it has receive times, its states are taken in that order; else in the given one.
     """
-    receptions, received = trajectory.reading.receptions, None
-    if receptions is not None:
-        order = np.argsort(receptions.times, kind="stable")
-        trajectory, received = trajectory[order], receptions.times[order]
+    receive_times, received = trajectory.reading.receive_times, None
+    if receive_times is not None:
+        order = np.argsort(receive_times.times, kind="stable")
+        trajectory, received = trajectory[order], receive_times.times[order]
     columns = [trajectory.positions]
     if trajectory.quaternions is not None:
         columns.append(trajectory.quaternions)

@@ -51,11 +51,11 @@ def may_have_events(
 
 
 def _has_irregular_stamps(side: Trajectory) -> bool:
-    """Return whether timestamps go back, or differ from regular times of reception."""
+    """Return whether timestamps go back, or differ from regular receive times."""
     steps = np.diff(side.stamps)
     if steps.min(initial=1) <= 0:
         return True
-    received = side.reading.receptions
+    received = side.reading.receive_times
     if received is None:
         return False
     more = steps - np.diff(received.times)

@@ -76,7 +76,7 @@ class StampSteps:
 
         Args:
             stamps: (N,), seconds, in order of arrival.
-            received: (N,), times of reception, seconds; None if unknown.
+            received: (N,), receive times, seconds; None if unknown.
             poses: (N, K).
         """
         parts: list[tuple[Floats, Floats]] = []

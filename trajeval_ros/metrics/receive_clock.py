@@ -1,4 +1,4 @@
-"""Whether times of reception and timestamps can be compared: three clocks are involved.
+"""Whether receive times and timestamps can be compared: three clocks are involved.
 
 A constant offset of the receiver's clock cannot be separated from latency. It is never estimated
 silently.
@@ -29,7 +29,7 @@ _WITHHELD = ("copied", "epochs", "impossible")
 
 
 def clock_correction(text: str) -> tuple[float | None, float]:
-    """Return the seconds in a text: `OFFSET` of all receptions, or `fastest:LATENCY`.
+    """Return the seconds in a text: `OFFSET` of all receive times, or `fastest:LATENCY`.
 
     The offset is None if the latency of the fastest message is given, which comes second.
 
@@ -43,21 +43,21 @@ def clock_correction(text: str) -> tuple[float | None, float]:
             raise ValueError(text)
     except ValueError:
         raise SettingsError(
-            f"the clock of receptions {text!r} is not valid; give an offset in seconds, or "
+            f"the clock of receive times {text!r} is not valid; give an offset in seconds, or "
             f"the latency of the fastest message, as in {_FASTEST}:0.005"
         ) from None
     return (None, seconds) if name else (seconds, 0.0)
 
 
 @dataclass(frozen=True)
-class ReceptionClock:
-    """The comparison of times of reception with timestamps."""
+class ReceiveClock:
+    """The comparison of receive times with timestamps."""
 
     verdict: str  # `ok`, `copied`, `epochs`, `impossible`, `suspicious`, `step` or `drift`
     smallest_s: float  # smallest latency, seconds, after the correction
     # Drift of the smallest latency, the slope of its lower convex hull at the middle.
     drift_ppm: float
-    # Seconds that were added to all receptions; None if the fastest message was set.
+    # Seconds that were added to all receive_times; None if the fastest message was set.
     offset_s: float | None
     step_s: float = 0.0  # of the smallest latency; 0 without a step
     step_at_s: float = 0.0  # time of the step since the first timestamp, seconds
@@ -72,9 +72,9 @@ class ReceptionClock:
         """The sentence about the verdict; empty for `ok`."""
         return {
             "ok": "",
-            "copied": "the times of reception are copies of the timestamps; record the topic "
+            "copied": "the receive times are copies of the timestamps; record the topic "
             "again, or use --columns with received",
-            "epochs": "timestamps and times of reception differ by over a day: the timestamps are "
+            "epochs": "timestamps and receive times differ by over a day: the timestamps are "
             "simulated, or a clock was never set; set --receive-clock fastest:0.005",
             "impossible": f"messages were received {-self.smallest_s:.4g} s before their "
             f"timestamps; correct the clock with --receive-clock of at least "
@@ -83,15 +83,15 @@ class ReceptionClock:
             "timestamp; check for a queue, or correct the clock with --receive-clock",
             "step": f"all latencies change by {self.step_s:+.4g} s at {self.step_at_s:.1f} s; the "
             "receiver's clock stepped, or the estimator fell behind, and latencies include it",
-            "drift": f"the clocks of timestamps and receptions drift by {self.drift_ppm:.0f} ppm; "
-            "latencies include this drift",
+            "drift": "the clocks of timestamps and receive times drift by "
+            f"{self.drift_ppm:.0f} ppm; latencies include this drift",
         }[self.verdict]
 
 
-def judged_receptions(
+def judged_receive_times(
     stamps: Stamps, times: Stamps, correction: str = "0"
-) -> tuple[Stamps, ReceptionClock]:
-    """Return the corrected times of reception (N,), N > 0, and what is known of their clock.
+) -> tuple[Stamps, ReceiveClock]:
+    """Return the corrected receive times (N,), N > 0, and what is known of their clock.
 
     `stamps`: (N,) int64, nanoseconds, of the messages. `times`: (N,) as they were received.
     `correction` is a text that `clock_correction` reads.
@@ -118,7 +118,7 @@ def judged_receptions(
         "drift": offset_s is not None and _DRIFT_PPM < 1e6 * abs(slope) < _LARGEST_PPM,
     }
     verdict = next((name for name, holds in rules.items() if holds), "ok")
-    return times, ReceptionClock(verdict, smallest_s, 1e6 * slope, offset_s, step_s, step_at_s)
+    return times, ReceiveClock(verdict, smallest_s, 1e6 * slope, offset_s, step_s, step_at_s)
 
 
 def _step(seconds: Floats, latencies_s: Floats) -> tuple[float, float]:

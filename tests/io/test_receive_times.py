@@ -1,4 +1,4 @@
-"""Times of reception from bags and text, and what `trajeval evaluate` makes of them."""
+"""receive times from bags and text, and what `trajeval evaluate` makes of them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ros_bags import ODOM, messages_of, path_message, transforms_message
 from trajeval_ros import Trajectory, simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.reading import SourceInfo
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.hints import TextHints
@@ -55,12 +55,12 @@ def test_publish_times_are_used_where_they_differ(tmp_path: Path, chunked: bool)
     ]
     path = write_mcap(tmp_path / "run.mcap", rows, chunked=chunked)
     for received, by, which in (("", "publish", 0), ("publish", "publish", 0), ("log", "log", 1)):
-        receptions = read_trajectory(path, received=received).reading.receptions
-        assert receptions is not None
-        assert receptions.by == by
-        np.testing.assert_array_equal(receptions.times, FLIGHT.estimate.stamps + delays[which])
-        assert (receptions.body_rates is not None) == bool(received)
-    auto = read_trajectory(path, received="auto").reading.receptions
+        receive_times = read_trajectory(path, received=received).reading.receive_times
+        assert receive_times is not None
+        assert receive_times.by == by
+        np.testing.assert_array_equal(receive_times.times, FLIGHT.estimate.stamps + delays[which])
+        assert (receive_times.body_rates is not None) == bool(received)
+    auto = read_trajectory(path, received="auto").reading.receive_times
     assert auto is not None
     assert auto.recording_s is not None
     later_s = (delays[1] - delays[0]) / SECOND
@@ -74,10 +74,12 @@ def test_equal_or_missing_publish_times_are_log_times(tmp_path: Path) -> None:
             (topic, kind, at + 5, at + 5 if published is None else published, payload)
             for topic, kind, at, payload in sent
         ]
-        receptions = read_trajectory(write_mcap(tmp_path / "run.mcap", rows)).reading.receptions
-        assert receptions is not None
-        assert (receptions.by, receptions.recording_s) == ("log", None)
-        np.testing.assert_array_equal(receptions.times, FLIGHT.estimate.stamps + 5)
+        receive_times = read_trajectory(
+            write_mcap(tmp_path / "run.mcap", rows)
+        ).reading.receive_times
+        assert receive_times is not None
+        assert (receive_times.by, receive_times.recording_s) == ("log", None)
+        np.testing.assert_array_equal(receive_times.times, FLIGHT.estimate.stamps + 5)
 
 
 def test_of_a_path_the_last_pose_of_every_message_was_received(tmp_path: Path) -> None:
@@ -99,9 +101,9 @@ def test_of_a_path_the_last_pose_of_every_message_was_received(tmp_path: Path) -
     assert received.stamps.tolist() == [stamps[19], stamps[39], stamps[59]]
     expected = estimate.positions[[19, 39, 59], 0] + [1.0, 2.0, 3.0]
     np.testing.assert_allclose(received.positions[:, 0], expected, atol=1e-12)
-    receptions = received.reading.receptions
-    assert receptions is not None
-    np.testing.assert_array_equal(receptions.times, received.stamps + 40_000_000)
+    receive_times = received.reading.receive_times
+    assert receive_times is not None
+    np.testing.assert_array_equal(receive_times.times, received.stamps + 40_000_000)
 
 
 def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: Path) -> None:
@@ -121,33 +123,33 @@ def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: P
     path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda item: item[2]))
     received = read_trajectory(f"{path}:/tf:map.base", received="auto").reading.as_received
     assert received is not None
-    receptions = received.reading.receptions
-    assert receptions is not None
-    assert receptions.corrected is not None
+    receive_times = received.reading.receive_times
+    assert receive_times is not None
+    assert receive_times.corrected is not None
     for at, x, stamp, corrected in (
         (begin + 10, 10.0, begin, begin + 10),
         (begin + 1005, 12.0, begin + 1000, begin + 10),
         (begin + 1020, 13.0, begin + 1000, begin + 1020),
         (begin + 1055, 13.1, begin + 1050, begin + 1020),
     ):
-        row = int(receptions.times.searchsorted(at * ms))
-        assert receptions.times[row] == at * ms
+        row = int(receive_times.times.searchsorted(at * ms))
+        assert receive_times.times[row] == at * ms
         assert received.positions[row, 0] == pytest.approx(x)
         assert received.stamps[row] == stamp * ms
-        assert receptions.corrected[row] == corrected * ms
+        assert receive_times.corrected[row] == corrected * ms
 
 
 @pytest.mark.parametrize(
-    ("frames", "said"), [("a.b", "a and b are static"), ("a.x", "/tf:a.x: unknown frame x")]
+    ("frames", "message"), [("a.b", "a and b are static"), ("a.x", "/tf:a.x: unknown frame x")]
 )
-def test_transforms_without_poses_are_one_sentence_as_without_receptions(
-    frames: str, said: str, tmp_path: Path
+def test_transforms_without_poses_are_one_sentence_as_without_receive_times(
+    frames: str, message: str, tmp_path: Path
 ) -> None:
     payload = transforms_message(("a", "b", SECOND, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
     row = ("/tf_static", "tf2_msgs/msg/TFMessage", SECOND, SECOND, payload)
     path = write_mcap(tmp_path / "run.mcap", [row, ("/tf", *row[1:4], transforms_message())])
     for received in ("", "auto"):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             read_trajectory(f"{path}:/tf:{frames}", received=received)
 
 
@@ -167,18 +169,18 @@ def test_column_received_is_in_the_unit_of_the_timestamps(
     file = tmp_path / "run.txt"
     file.write_text("\n".join(lines) + "\n")
     read = read_trajectory(file, hints=TextHints((unit, "received", "x", "y", "z")))
-    receptions = read.reading.receptions
-    assert receptions is not None
+    receive_times = read.reading.receive_times
+    assert receive_times is not None
     # A microsecond is exact for times in seconds; so are whole nanoseconds up to float64.
-    assert np.abs(receptions.times - times).max() <= 1000
+    assert np.abs(receive_times.times - times).max() <= 1000
 
 
 def test_header_names_the_column_received(tmp_path: Path) -> None:
     file = tmp_path / "run.csv"
     file.write_text("t,x,y,z,received\n1.0,0,0,0,1.25\n2.0,1,0,0,2.5\n")
-    receptions = read_trajectory(file).reading.receptions
-    assert receptions is not None
-    assert receptions.times.tolist() == [1_250_000_000, 2_500_000_000]
+    receive_times = read_trajectory(file).reading.receive_times
+    assert receive_times is not None
+    assert receive_times.times.tolist() == [1_250_000_000, 2_500_000_000]
     file.write_text("t,x,y,z,received\n1.0,0,0,0,nan\n2.0,1,0,0,2.5\n")
     with pytest.raises(InputError, match="row 1 has no number in column received"):
         read_trajectory(file)
@@ -195,15 +197,15 @@ def test_written_receptions_are_read_back(tmp_path: Path) -> None:
     bag, folder = tmp_path / "run", tmp_path / "text"
     stamps = 1_700_000_000 * SECOND + np.arange(50) * 50_000_000
     delays = np.random.default_rng(0).integers(1_000, 300_000, 50) * 1000
-    reading = SourceInfo(source="run:/vio", receptions=ReceiveTimes(stamps + delays))
+    reading = SourceInfo(source="run:/vio", receive_times=ReceiveTimes(stamps + delays))
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
     written = Trajectory(stamps, np.ones((50, 3)), rotations, reading=reading)
     write_bag(bag, {"/vio": (written, "geometry_msgs/msg/PoseStamped")})
     assert main(["trajectory", f"{bag}:/vio", "--save-as", "euroc", "--output", str(folder)]) == 0
     [file] = folder.iterdir()
-    receptions = read_trajectory(file).in_order().reading.receptions
-    assert receptions is not None
-    assert receptions.times.tolist() == (stamps + delays).tolist()
+    receive_times = read_trajectory(file).in_order().reading.receive_times
+    assert receive_times is not None
+    assert receive_times.times.tolist() == (stamps + delays).tolist()
 
 
 def csv_latencies(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -227,9 +229,9 @@ def test_arrivals_of_real_estimators(
 ) -> None:
     folder = shared_data / LIDAR / recording
     read = read_trajectory(f"{folder / 'bag'}:/{name}/odometry")
-    receptions = read.reading.receptions
-    assert receptions is not None
-    health = health_of(read.stamps, receptions.times)
+    receive_times = read.reading.receive_times
+    assert receive_times is not None
+    health = health_of(read.stamps, receive_times.times)
     assert (health.messages, health.missed) == (messages, missed)
     assert health.arrival_p50_s == pytest.approx(median_s, rel=5e-3)
     # The estimator's own times of publication differ by the way to the recorder.
@@ -237,7 +239,7 @@ def test_arrivals_of_real_estimators(
     _, mine, own = np.intersect1d(read.stamps, stamps, return_indices=True)
     assert len(mine) == messages
     if recording == "real_time":
-        way_s = (receptions.times[mine] - published[own]) / SECOND
+        way_s = (receive_times.times[mine] - published[own]) / SECOND
         assert abs(np.median(way_s)) < 1e-3
 
 
@@ -307,7 +309,7 @@ def test_clocks_that_can_not_be_compared_withhold_the_numbers(
     result = run["as_available"]
     assert result["clock"]["verdict"] == verdict
     assert result["position_m"] is None
-    assert [remark["code"] for remark in run["remarks"]].count("reception_clock") == 1
+    assert [remark["code"] for remark in run["remarks"]].count("receive_clock") == 1
     assert run["ate"]["position_m"]["rmse"] > 0.0
     assert run["stream"]["arrival_p50_s"] is None
     [again] = evaluated(tmp_path, *sources, "--gauge", "se3")
@@ -340,5 +342,5 @@ def test_text_without_receptions_withholds_the_numbers(tmp_path: Path) -> None:
         rows = np.column_stack([side.stamps / SECOND, side.positions, side.quaternions])
         np.savetxt(file, rows, fmt="%.9f")
     [run] = evaluated(tmp_path, str(truth), str(estimate), "--as-available", "hold")
-    assert "no times of reception" in run["as_available"]["why_withheld"]
+    assert "no receive times" in run["as_available"]["why_withheld"]
     assert run["stream"] is None

@@ -33,7 +33,7 @@ class OutlierStamps:
     """Filters the states of a stream by timestamp, at a constant cost."""
 
     def __init__(self) -> None:
-        self.lone = 0  # number of states dropped so far
+        self.isolated = 0  # number of states dropped so far
         self.farthest_ns = 0  # largest distance of a dropped timestamp from the others
         self._newest: int | None = None
         self.waiting: tuple[NDArray[Any], ...] = ()  # stamps and columns under test; () if none
@@ -96,20 +96,20 @@ class OutlierStamps:
 
     def _drop(self, stamps: Stamps, stamp: int) -> None:
         """Count isolated states (N,), and their distance from a timestamp that is not isolated."""
-        self.lone += len(stamps)
+        self.isolated += len(stamps)
         off_ns = int(np.abs(stamps - stamp).max(initial=0))
         self.farthest_ns = max(self.farthest_ns, off_ns)
 
     @property
     def message(self) -> str:
         """The sentence about the dropped states; empty if there are none."""
-        if not self.lone:
+        if not self.isolated:
             return ""
         far = f"{self.farthest_ns / NANOSECONDS:.4g} s"
-        if self.lone == 1:
+        if self.isolated == 1:
             return f"1 pose dropped: its timestamp differs by {far} from its neighbours"
         return (
-            f"{self.lone} poses dropped: their timestamps differ by up to {far} from their "
+            f"{self.isolated} poses dropped: their timestamps differ by up to {far} from their "
             "neighbours"
         )
 

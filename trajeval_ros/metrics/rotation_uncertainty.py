@@ -119,7 +119,7 @@ class RotationUncertainty:
         return self.misleading if is_large and self.disagrees else ""
 
     @property
-    def untrustworthy(self) -> str:
+    def why_withheld(self) -> str:
         """The reason why rotation errors are withheld; empty if they are reported."""
         seen = self.orientations
         if self.undetermined or seen is None or seen.turn_deg < _LARGE_TURN_DEG:
@@ -131,7 +131,7 @@ class RotationUncertainty:
         return "gravity" if self.rot_z else "the direction of travel"
 
 
-def rotation_freedom(
+def rotation_uncertainty(
     gauge: Gauge,
     moments: Moments,
     orientations: OrientationSum | None,
@@ -157,7 +157,7 @@ def rotation_freedom(
     """
     rotation, linear = similarity.rotation, similarity.linear
     error = 0.0 if orientations is None else orientations.error(rotation)
-    axes = slice(2, 3) if gauge.turns_about_gravity_only else slice(0, 3)
+    axes = slice(2, 3) if gauge.yaw_only else slice(0, 3)
     aligned = moments.covariance_aligned(linear)
     size = float(aligned.trace())
     curvature = ((size + arm_m**2) * _IDENTITY - aligned)[axes, axes]
@@ -184,7 +184,7 @@ def rotation_freedom(
         )
     std_deg = math.degrees(math.sqrt(max(float(variances[-1]), 0.0)))
     return RotationUncertainty(
-        gauge.turns_about_gravity_only,
+        gauge.yaw_only,
         std_deg,
         seen,
         moves_positions=is_free and bool(is_off_line),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Booleans, Floats, at_rows
-from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.geometry.valid_poses import add_counts
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _ROWS: dict[str, tuple[int, ...] | None] = {
     "frame_numbers": (),
     "matrices": (3, 3),
     "fixes": None,
-    "receptions": None,
+    "receive_times": None,
 }
 
 
@@ -67,9 +67,9 @@ class SourceInfo:
     # (N, 3, 3), rotation matrices exactly as in KITTI's file, or None. With few digits they are
     # not quite the rotations of `Trajectory.quaternions`.
     matrices: Floats | None = None
-    # The times of reception of the N messages; None if unknown.
-    receptions: ReceiveTimes | None = None
-    # A `Trajectory` (its module needs this one) in order of reception, if poses were revised
+    # The receive times of the N messages; None if unknown.
+    receive_times: ReceiveTimes | None = None
+    # A `Trajectory` (its module needs this one) in order of receive time, if poses were revised
     # afterwards: the last pose of each path, or transforms under the newest correction; or None.
     as_received: Any = None
 

@@ -24,8 +24,8 @@ class ReceiveTimes:
     # a bag does not have both.
     recording_s: tuple[float, float] | None = None
     body_rates: Floats | None = None  # (N, 3), rad/s, in the body; None if not read
-    # (N,) int64, nanoseconds, receptions of the newest corrections, such as map to odom; None if
-    # poses are not corrected.
+    # (N,) int64, nanoseconds, receive times of the newest corrections, such as map to odom; None
+    # if poses are not corrected.
     corrected: Stamps | None = None
 
     def __len__(self) -> int:

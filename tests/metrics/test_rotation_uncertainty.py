@@ -83,7 +83,7 @@ def test_the_covariance_is_the_sandwich_of_all_places_with_all_errors(
     a = similarity.scale * (q - q.mean(0)) @ linear.T
     e = (p - p.mean(0)) - scale * (q - q.mean(0)) @ linear.T
     torques = np.cross(a[:, None], e[None, :]).reshape(-1, 3)
-    axes = slice(2, 3) if gauge.turns_about_gravity_only else slice(0, 3)
+    axes = slice(2, 3) if gauge.yaw_only else slice(0, 3)
     curvature = (np.sum(a * a) * np.eye(3) - a.T @ a)[axes, axes] / len(a)
     gradient = (torques.T @ torques / len(torques))[axes, axes]
     _, error, least, _, in_stds = np.radians(freedom_numbers(result.alignment))
@@ -104,7 +104,7 @@ def test_the_covariance_is_the_sandwich_of_all_places_with_all_errors(
     assert rotated is not None
     assert other is not None
     mean = (rotated * other.inv()).as_matrix().mean(axis=0)
-    if gauge.turns_about_gravity_only:
+    if gauge.yaw_only:
         yaw = math.atan2(mean[1, 0] - mean[0, 1], mean[0, 0] + mean[1, 1])
         alone = Rotation.from_rotvec([0.0, 0.0, yaw])
     else:

@@ -16,7 +16,7 @@ from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
 
 from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.geometry.stamp_trust import OutlierStamps, trusted_states
+from trajeval_ros.geometry.outlier_stamps import OutlierStamps, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 
@@ -28,12 +28,12 @@ def kept(stamps: Sequence[int]) -> list[int]:
     """Return the stamps that are trusted, seconds for nanoseconds."""
     in_ns = np.round(np.array(stamps) * SECOND).astype(np.int64)
     rows, trust = trusted_states(in_ns)
-    assert trust.lone == len(stamps) - len(rows)
+    assert trust.isolated == len(stamps) - len(rows)
     return [stamps[row] for row in rows]
 
 
 @pytest.mark.parametrize(
-    ("stamps", "lone"),
+    ("stamps", "isolated"),
     [
         ([0.0, 0.5, 3600.0, 1.0, 1.5], [3600.0]),
         ([0.0, 0.5, -3600.0, 1.0, 1.5], [-3600.0]),
@@ -52,8 +52,8 @@ def kept(stamps: Sequence[int]) -> list[int]:
         ([0.0, 0.2, 0.1, 0.3], []),  # overtaken
     ],
 )
-def test_what_stands_alone_is_dropped(stamps: list[float], lone: list[float]) -> None:
-    assert kept(stamps) == [stamp for stamp in stamps if stamp not in lone]
+def test_what_stands_alone_is_dropped(stamps: list[float], isolated: list[float]) -> None:
+    assert kept(stamps) == [stamp for stamp in stamps if stamp not in isolated]
 
 
 @given(
@@ -68,7 +68,7 @@ def test_batches_don_t_matter(stamps: list[int], cuts: list[int]) -> None:
     result = [trust.take(in_ns[part], part)[1] for part in parts]
     result.append(trust.take(in_ns[:0], np.arange(0), at_end=True)[1])
     np.testing.assert_array_equal(np.concatenate(result), expected)
-    assert (trust.lone, trust.message) == (whole.lone, whole.message)
+    assert (trust.isolated, trust.message) == (whole.isolated, whole.message)
 
 
 def test_nothing_waits_for_ever() -> None:

@@ -12,7 +12,7 @@ import pytest
 from trajeval_ros import Trajectory
 from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.remarks import Level, damaged, note, remark_json, remark_of, warning
-from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.source_info import SourceInfo
 
 COUNT = 6
 ROWS = SourceInfo(
