@@ -73,6 +73,8 @@ test-real: $(REAL)/.installed ## Run the tests of real estimators, in the enviro
 	$(ALONE) $(REAL)/bin/python -m pytest -m ros -k small_gicp \
 		tests/ros/test_lidar_odometry.py
 
+# Some wait for viewers and browsers, so there is one process more than cores.
+test-slow: export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell expr $$(nproc) + 1)
 test-slow: $(VENV)/.installed ## Run the tests that take long, or start browsers, viewers and clusters.
 	$(NICE) $(VENV)/bin/$(PYTEST_ALL_CORES) -m "slow and not ros and not oracles"
 

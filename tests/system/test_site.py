@@ -77,15 +77,6 @@ def test_commands_of_the_gallery_exist(site: Any) -> None:
     assert all(picture.file in gallery.section() for picture in gallery.PICTURES)
 
 
-@pytest.mark.slow
-def test_the_gallery_draws_its_pictures(site: Any, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    gallery = site("gallery")
-    figures = gallery.draw(tmp_path)
-    assert figures.keys() == {picture.file for picture in gallery.PICTURES}
-    assert all(content.startswith(b"\x89PNG") for content in figures.values())
-
-
 @pytest.mark.parametrize(
     ("name", "text", "outcome"),
     [
