@@ -154,6 +154,39 @@ def test_a_quantised_encoder_in_stop_and_go_has_no_event() -> None:
     assert stream_discontinuities(Trajectory(stamps, positions, quaternions), "estimate") == []
 
 
+def stop_and_go(seed: int, resolution: float) -> Trajectory:
+    """Return poses of a robot that drives and rests by turns, as multiples of a resolution (m)."""
+    random, stamps = np.random.default_rng(seed), np.arange(0, 300 * NANOSECONDS, 20_000_000)
+    speed, rate = np.zeros((2, len(stamps)))
+    begin = 0
+    while begin < len(stamps):
+        drives = int(50.0 * random.uniform(3.0, 25.0))
+        row = np.arange(begin, min(begin + drives, len(stamps)))
+        ramp = np.minimum(np.minimum(row - begin, begin + drives - row) / 50.0, 1.0)
+        speed[row], rate[row] = random.uniform([0.05, -0.4], [0.6, 0.4])[:, None] * ramp
+        begin += drives + int(50.0 * random.uniform(1.0, 15.0))
+    heading = np.cumsum(rate) / 50.0
+    along = np.stack([np.cos(heading), np.sin(heading), 0.0 * heading], axis=1)
+    positions = np.cumsum(speed[:, None] * along, axis=0) / 50.0
+    heading = np.round(heading / 0.002) * 0.002
+    quaternions = lie.from_rotation_vector(np.outer(heading, [0.0, 0.0, 1.0]))
+    return Trajectory(stamps, np.round(positions / resolution) * resolution, quaternions)
+
+
+@pytest.mark.parametrize("resolution", [0.001, 0.005, 0.01])
+@pytest.mark.parametrize("seed", range(3))
+def test_rests_of_coarse_positions_are_not_frozen(seed: int, resolution: float) -> None:
+    coarse = stop_and_go(seed, resolution)
+    assert stream_discontinuities(coarse, "estimate") == []
+    speed = np.linalg.norm(coarse.positions[50:] - coarse.positions[:-50], axis=1)
+    begin = 2000 + int(np.argmin(np.abs(speed[2000:-100] - 0.35)))
+    rows = np.arange(begin + 25, begin + 125)
+    positions = coarse.positions.copy()
+    positions[rows] = positions[rows[0]]
+    held = stream_discontinuities(dataclasses.replace(coarse, positions=positions), "estimate")
+    assert "frozen_position" in [event.kind for event in held]
+
+
 @pytest.mark.parametrize("step_s", [-10.017, -0.15, 0.417, 3.017])
 def test_a_clock_step_is_measured_by_receive_times(step_s: float) -> None:
     groundtruth, rng = flights(914)[0][::5], np.random.default_rng(914)

@@ -178,13 +178,22 @@ def _time_after_stop_s(repeats: Repeats, stream: SidePoses) -> float:
     if len(stamps) < 3:
         return math.inf
     if repeats.part == POSITION:
-        lengths = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+        steps = np.diff(poses[:, :3], axis=0)
     else:
         rotations = lie.multiply(lie.conjugate(poses[:-1, 3:]), poses[1:, 3:])
-        lengths = np.degrees(lie.angle(rotations))
+        steps = np.degrees(lie.rotation_vector(rotations))
     moved, rest = _PREDICTED[repeats.part]
     first = min(int(stamps.searchsorted(stamps[-1] - _LAST_S)), len(stamps) - 1 - _LAST_STEPS)
-    usual = float(lengths.sum() / (stamps[-1] - stamps[0]))
-    last = float(lengths[first:].sum() / (stamps[-1] - stamps[first]))
+    usual = float(np.linalg.norm(steps, axis=1).sum() / (stamps[-1] - stamps[0]))
+    # A wheel that stops can still make its last count.
+    counted = np.maximum(np.abs(steps[first:].sum(axis=0)) - _resolution_of(steps), 0.0)
+    last = float(np.linalg.norm(counted) / (stamps[-1] - stamps[first]))
     is_abrupt = last > max(_ABRUPT * usual, rest)
     return max(stream.frozen_s, moved / last) if is_abrupt else math.inf
+
+
+def _resolution_of(steps: Floats) -> Floats:
+    """Return the least step of every axis of (N, 3) that rests between its steps, or else 0."""
+    lengths = np.abs(steps)
+    least: Floats = np.where(lengths > 0.0, lengths, np.inf).min(axis=0)
+    return np.where((lengths == 0.0).any(axis=0) & np.isfinite(least), least, 0.0)
