@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -323,6 +324,16 @@ def test_one_command_on_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         "/fix: 40 of status 2; standard deviation 0.02 to 0.02 m horizontal"
         in capsys.readouterr().out
     )
+
+
+def test_a_bag_alone_gives_what_its_repeated_command_gives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(bag_of(tmp_path / "bag", antenna()))]) == 0
+    alone, _, command = capsys.readouterr().out.partition("\nrepeat: trajeval ")
+    assert "noise-corrected ATE" in alone
+    assert main(shlex.split(command)) == 0
+    assert capsys.readouterr().out == alone
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,8 @@ def as_read(
         trajectory = read[source]
         reading = dataclasses.replace(trajectory.reading, source=source)
         trajectory = dataclasses.replace(trajectory, name=name, reading=reading)
-        if not has_covariances and parse_source(source).is_bag:
+        is_without = trajectory.reading.fixes is None  # fixes always have theirs
+        if is_without and not has_covariances and parse_source(source).is_bag:
             trajectory = dataclasses.replace(trajectory, covariances=None)
         trajectories.append(trajectory)
     return trajectories
