@@ -144,6 +144,33 @@ def test_a_recording_without_a_side_is_refused(
     assert sentence in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [["{}"], ["evaluate", "{}"]])
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("missing.mcap", "", "missing.mcap does not exist; check the path"),
+        ("pointer.mcap", "version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS"),
+    ],
+)
+def test_a_recording_that_cannot_be_read_alone_says_why(
+    name: str,
+    content: str,
+    reason: str,
+    words: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if content:
+        (tmp_path / name).write_text(content)
+    assert main([word.format(tmp_path / name) for word in words]) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_missing_text_files_are_no_verbs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["missing.txt", "estimate.txt"]) == 2
+    assert "missing.txt does not exist" in capsys.readouterr().err
+
+
 def test_a_folder_of_text_files_is_evaluated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

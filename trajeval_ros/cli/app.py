@@ -189,8 +189,9 @@ def _after_debug(arguments: Sequence[str]) -> Sequence[str]:
 
 
 def _is_source(word: str) -> bool:
-    """Return whether a word names a file or folder, or a topic of one."""
-    return any(Path(name).exists() for name in (word, word.partition(":")[0]) if name)
+    """Return whether a word names a file or folder, or a topic of one; verbs have no ending."""
+    paths = [Path(name) for name in (word, word.partition(":")[0]) if name]
+    return any(path.exists() or path.suffix for path in paths)
 
 
 def _sentence(error: click.UsageError) -> str:

@@ -13,7 +13,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry.source_info import ASSUMED
-from trajeval_ros.io.sources import parse_source
+from trajeval_ros.io.sources import BAG_ENDINGS, parse_source
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -21,12 +21,17 @@ if TYPE_CHECKING:
 
 
 def recording_of(by_position: Sequence[str], *named: object) -> str:
-    """Return the only source of a command if it is a bag, a log or a folder; "" otherwise."""
-    if len(by_position) != 1 or any(named) or not (path := Path(by_position[0])).exists():
+    """Return the only source of a command if it is a bag, a log or a folder; "" otherwise.
+
+    A missing or damaged file with the ending of a bag or log is one, so reading it tells why.
+    """
+    if len(by_position) != 1 or any(named):
         return ""
-    parts = parse_source(by_position[0])
-    has_topics = path.suffix == ".ulg" or (parts.is_bag and not parts.topic)
-    return by_position[0] if path.is_dir() or has_topics else ""
+    path = Path(by_position[0])
+    if path.is_dir() or path.suffix in (".ulg", *BAG_ENDINGS):
+        return by_position[0]
+    is_bag = path.is_file() and parse_source(by_position[0]).is_bag
+    return by_position[0] if is_bag else ""
 
 
 def chosen_evaluation(

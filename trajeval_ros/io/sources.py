@@ -38,7 +38,7 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 # Other schemes have an @ in valid addresses: abfs://CONTAINER@ACCOUNT, github://OWNER:NAME@BRANCH.
 _WITHOUT_USER = ("http", "https", "s3", "gs", "gcs")
-_BAG_ENDINGS = (".mcap", ".db3", ".bag")
+BAG_ENDINGS = (".mcap", ".db3", ".bag")
 _PACKED_TEXTS = tuple(
     f"{ending}{packed}"
     for ending in (".txt", ".csv", ".tum", ".tsv")
@@ -327,7 +327,7 @@ def _nearest_name(missing: Path) -> str:
 
 def _begins_as_bag(path: Path, beginning: bytes) -> bool:
     """Return whether a file is a bag of any format, from its first bytes."""
-    if not beginning and path.suffix in _BAG_ENDINGS:
+    if not beginning and path.suffix in BAG_ENDINGS:
         raise InputError(f"{path} is empty; check that the recording has data")
     is_packed = beginning.startswith(_ZSTD)  # text is read by its own reader
     return beginning.startswith(_BAG_BEGINNINGS) or (
@@ -341,7 +341,7 @@ def _holds_poses(folder: Any) -> bool:
         return False
     names = [path.name for path in folder.iterdir()]
     return any(name.endswith(".txt") for name in names) and not any(
-        name.removesuffix(".zstd").endswith(_BAG_ENDINGS) for name in names
+        name.removesuffix(".zstd").endswith(BAG_ENDINGS) for name in names
     )
 
 
