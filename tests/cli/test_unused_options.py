@@ -61,6 +61,8 @@ ONE = ["{}/vio_odometry.txt"]
         (["compare", "x.csv", "--require", "x<1"], "use trajeval evaluate --require for a run"),
         (["finish", "{}", "--modality", "mono"], "the alignment is that of the live run"),
         (["tum", *TUM, "-as"], "no verb tum; formats are detected by content"),
+        (["evaluate", *TUM, "-va"], "no option -v; all details are printed; remove it"),
+        (["evo_ape", "tum", *TUM], "no verb evo_ape; use trajeval evaluate, with --protocol evo"),
         (["ape", "tum", *TUM], "no verb ape; use trajeval evaluate, with --protocol evo"),
         (["res", "a.zip"], "no verb res; use trajeval compare RESULT..."),
         (["evaluate", *TUM, "-p"], "no option -p; --output DIR draws figures"),

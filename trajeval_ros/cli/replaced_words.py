@@ -14,9 +14,11 @@ _WORDS = {
     # evo; docs/coming_from.md has a table.
     "formats are detected by content: trajeval evaluate GROUNDTRUTH ESTIMATE, or trajeval "
     "trajectory FILE": ("tum", "kitti", "euroc", "bag", "bag2"),
-    "use trajeval evaluate, with --protocol evo for evo's numbers": ("ape", "rpe"),
-    "use trajeval trajectory": ("traj",),
-    "use trajeval compare RESULT...": ("res",),
+    "use trajeval evaluate, with --protocol evo for evo's numbers": (
+        "ape", "rpe", "evo_ape", "evo_rpe",
+    ),
+    "use trajeval trajectory": ("traj", "evo_traj"),
+    "use trajeval compare RESULT...": ("res", "evo_res"),
     "give a style sheet of matplotlib: --style FILE.mplstyle": ("config",),
     "figures are not saved for later changes; draw them again": ("fig",),
     "use --gauge se3, or --gauge sim3 for -as, and --protocol evo for evo's numbers": (
@@ -24,6 +26,7 @@ _WORDS = {
     ),
     "use --gauge sim3 for evo's -as; for -s alone, give a file with base: evo, gauge: sim3 and "
     "apply: scale as --protocol FILE.yaml": ("-s", "--correct_scale"),
+    "all details are printed; remove it": ("-v", "--verbose"),
     "use --align-states 1": ("--align_origin",),
     "use --align-states": ("--n_to_align",),
     "use --lengths, as in 8, 10f or 5deg, and --protocol evo for evo's numbers": (
