@@ -35,6 +35,15 @@ def test_the_verdict_comes_first_then_the_tables(
     assert any("8 m" in line for line in lines)
 
 
+def test_the_verdict_states_that_only_the_scale_is_applied(
+    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    protocol = tmp_path / "scale.yaml"
+    protocol.write_text("base: evo\ngauge: sim3\napply: scale\n")
+    assert main([*pair, "--protocol", str(protocol)]) == 0
+    assert ", only its scale applied; " in capsys.readouterr().out.splitlines()[2]
+
+
 def test_a_diverged_estimate_is_evaluated_as_far_as_it_has_poses(
     pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,10 +78,10 @@ def alignment_of(evaluations: Sequence[Evaluation], *, brief: bool = False) -> s
     pairs = f"all {count}"
     if protocol.align_states is not None:
         pairs = "the first pair" if number == 1 else f"the first {count}"
-    if brief:
-        return text if protocol.align_states is None else f"{text}, {pairs}"
-    sensors = f" for {protocol.modality}" if protocol.modality else ""
     only = ", only its scale applied" if protocol.apply == "scale" else ""
+    if brief:
+        return f"{text}{only}" if protocol.align_states is None else f"{text}, {pairs}{only}"
+    sensors = f" for {protocol.modality}" if protocol.modality else ""
     poses = " with orientations" if protocol.align_with == "poses" else ""
     weights = WEIGHT_TEXTS[protocol.align_weights]
     return f"{text}, gauge {protocol.gauge.value}{sensors}, {pairs}{only}{poses}{weights}"
