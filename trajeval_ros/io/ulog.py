@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,7 @@ def simulated_sides(path: Path) -> list[str]:
     if _TRUTH not in topics or not odometry:
         raise InputError(
             f"{path} has no {'odometry' if _TRUTH in topics else _TRUTH}; give two topics as in "
-            f"{path}:TOPIC, of {', '.join(topics) or 'none'}"
+            f"{path}:TOPIC; list them: trajeval info {shlex.quote(str(path))}"
         )
     return [f"{path}:{name}" for name in (_TRUTH, *odometry)]
 
