@@ -28,7 +28,6 @@ from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.comparison_report import is_drawn
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.finished_comparison import POOLED_FILE, REPORT, RUNS
-from trajeval_ros.batch.records import RECORDS
 from trajeval_ros.batch.results_table import read_pooled
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
@@ -73,7 +72,7 @@ def test_a_second_comparison_is_refused_and_names_the_first(
     config: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = config.parent / "out"
-    with only_writer(out, RECORDS):
+    with only_writer(out):
         before = contents(out)
         assert compare(config) == 2
         text = capsys.readouterr().err
@@ -91,7 +90,7 @@ def test_with_wait_it_comes_after_the_first(
 ) -> None:
     out = config.parent / "out"
     (out / "tables.md").unlink()
-    held, told = only_writer(out, RECORDS), threading.Event()
+    held, told = only_writer(out), threading.Event()
     held.__enter__()
     second = threading.Thread(target=lambda: compare(config, "--wait"))
     lock = compare_runs.lock
@@ -120,7 +119,7 @@ def test_a_killed_comparison_holds_nothing(config: Path) -> None:
         "import sys; from pathlib import Path\n"
         "from trajeval_ros.batch.compare_runs import only_writer\n"
         "from trajeval_ros.io.temporary import temporary_file\n"
-        "with only_writer(Path(sys.argv[1]), 'runs'):\n"
+        "with only_writer(Path(sys.argv[1])):\n"
         "    with temporary_file(Path(sys.argv[1]) / 'runs' / 'a.run'):\n"
         "        print('ready', flush=True); sys.stdin.read()\n"
     )
@@ -134,7 +133,7 @@ def test_a_killed_comparison_holds_nothing(config: Path) -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         with pytest.raises(InputError, match=f"is in use by process {process.pid} on "):
-            only_writer(out, RECORDS).__enter__()
+            only_writer(out).__enter__()
         process.send_signal(signal.SIGKILL)
         process.wait()
     assert (out / LOCK).exists()

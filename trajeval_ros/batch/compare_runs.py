@@ -105,7 +105,7 @@ def compare(
         allow_remote=allow_remote,
     )
     start_pool = partial(local_pool, workers)
-    with only_writer(folder, RECORDS):
+    with only_writer(folder):
         run_plan(plan, folder, start_pool)
         summary = summary_of(folder)
         write_tables(folder, summary)
@@ -147,26 +147,26 @@ def _holds(path: Path, text: str) -> bool:
 
 
 @contextlib.contextmanager
-def only_writer(
-    folder: Path, subfolder: str, wait: Callable[[str], object] | None = None
-) -> Iterator[None]:
+def only_writer(folder: Path, wait: Callable[[str], object] | None = None) -> Iterator[None]:
     """Make a comparison's folders and lock them during the block.
 
-    Unfinished files of killed comparisons are removed. `wait`: called with the holder of the lock
-    before waiting for it; None to raise an error instead of waiting.
+    Unfinished files of killed comparisons are removed, and folders that were made and are still
+    empty after the block, as those of a refused comparison. `wait`: called with the holder of the
+    lock before waiting for it; None to raise an error instead of waiting.
     """
-    records = folder / subfolder
+    records = folder / RECORDS
     for item in (records, folder / FIGURES, folder / PAGES):
         if item.is_symlink():
             raise InputError(f"{item} is a symbolic link; remove it")
     require_own(folder)
-    with refused_by_disk(f"the folder {folder}"):
-        records.mkdir(parents=True, exist_ok=True)
-    if not os.access(folder, os.W_OK):  # read-only: only a finished comparison can be shown
-        yield
-        return
+    new = [item for item in (records, *records.parents) if not item.exists()]
     path = folder / LOCK
     while True:
+        with refused_by_disk(f"the folder {folder}"):
+            records.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):  # read-only: only a finished comparison can be shown
+            yield
+            return
         with refused_by_disk(str(path)):
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
@@ -181,8 +181,10 @@ def only_writer(
             try:
                 yield
             finally:
-                with contextlib.suppress(OSError):
+                with contextlib.suppress(OSError):  # such as a folder with files
                     path.unlink()
+                    for item in new:
+                        item.rmdir()
             return
         finally:
             os.close(file)

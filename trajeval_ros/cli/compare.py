@@ -149,7 +149,6 @@ def compare(
     from trajeval_ros.batch.executors import dask_pool, local_pool
     from trajeval_ros.batch.finished_results import FinishedResults
     from trajeval_ros.batch.planned_figures import FigureChoice
-    from trajeval_ros.batch.records import RECORDS
     from trajeval_ros.batch.results_table import load_pyarrow
     from trajeval_ros.report.comparison_page import require_jinja2
     from trajeval_ros.report.console import WARNING, console
@@ -174,7 +173,7 @@ def compare(
     def tell_of_waiting(held: str) -> None:
         print(f"waiting: {held}", file=sys.stderr, flush=True)
 
-    with only_writer(output, RECORDS, tell_of_waiting if wait else None):
+    with only_writer(output, tell_of_waiting if wait else None):
         if isinstance(chosen, FinishedResults):
             progress = chosen.write_tables(output)
         else:
