@@ -4,21 +4,24 @@ Nothing is imported here that takes long: Ctrl-C is heard before everything else
 algebra is told how many threads to take.
 """
 
+from __future__ import annotations
+
 import gc
 import os
 import signal
 import sys
-import threading
-from collections.abc import Callable, Sequence
-from typing import NoReturn
 
 from trajeval_ros import __version__
-from trajeval_ros.linear_algebra_threads import take_one_thread
+
+TYPE_CHECKING = False  # as in `trajeval_ros`
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import NoReturn, TypeAlias
+
+    Program: TypeAlias = Callable[[Sequence[str]], int]
 
 _INTERRUPTED = 130
 _AGAIN_S = 0.05
-
-Program = Callable[[Sequence[str]], int]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,6 +63,8 @@ def _run(load: Callable[[Sequence[str]], Program], words: Sequence[str]) -> int:
     if is_heard:
         # An exception would come out of half an import, or be lost in one.
         signal.signal(signal.SIGINT, _leave)
+    from trajeval_ros.linear_algebra_threads import take_one_thread
+
     take_one_thread()
     # Imports leave nothing to collect. What they made stays, and is never searched for garbage.
     gc.disable()
@@ -87,8 +92,10 @@ def _run(load: Callable[[Sequence[str]], Program], words: Sequence[str]) -> int:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def _hear_again(dropped: "sys.UnraisableHookArgs") -> None:
+def _hear_again(dropped: sys.UnraisableHookArgs) -> None:
     """Repeat a Ctrl-C that came where Python can't raise, as while it collects an object."""
+    import threading
+
     if isinstance(dropped.exc_value, KeyboardInterrupt):
         again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGINT))
         again.daemon = True
