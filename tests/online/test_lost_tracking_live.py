@@ -26,9 +26,13 @@ def rows(trajectory: Trajectory) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("name", "code"), [("frozen until the end", "frozen"), ("diverging, 3 m/s2", "diverged")]
+    ("name", "code", "text"),
+    [
+        ("frozen until the end", "frozen", "the estimate repeats its pose since"),
+        ("diverging, 3 m/s2", "diverged", "the estimate diverges from the groundtruth since"),
+    ],
 )
-def test_live_and_recorded_report_the_same_loss(name: str, code: str) -> None:
+def test_live_and_recorded_report_the_same_loss(name: str, code: str, text: str) -> None:
     pair = FURTHER[name].make(DRONE)
     protocol = Protocol(gauge=Gauge.YAW, lengths=())
     live = OnlineEvaluator(OnlineSettings(protocol))
@@ -46,6 +50,7 @@ def test_live_and_recorded_report_the_same_loss(name: str, code: str) -> None:
     assert {item.code for item in told} == {code}
     assert levels == sorted(levels)
     assert levels[-1] is Level.ERROR
+    assert told[-1].text.startswith(text)
     assert len({item.text for item in told}) == 1  # the message does not change every second
     evaluation = evaluate(pair.truth, pair.estimate, protocol)
     (finding,) = diagnose(evaluation, pair.truth, pair.estimate)[1].findings

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.report.line_thinning import MOST_POINTS, simplified
+from trajeval_ros.report.line_thinning import MOST_POINTS, simplified, thinned
 
 
 @given(
@@ -31,6 +31,18 @@ def test_a_simplified_path_stays_within_its_tolerance(
         np.testing.assert_array_equal(rows[[0, -1]], piece[[0, -1]])
         assert (rows[:, None] == piece[None]).all(axis=2).any(axis=1).all()
         assert distances_to_line(piece[:, :2], rows[:, :2]).max() <= tolerance_m * (1.0 + 1e-9)
+
+
+def test_only_lines_of_more_rows_than_allowed_are_thinned() -> None:
+    line = np.random.default_rng(2).normal(size=(101, 2))
+    stamps = 10**8 * np.arange(len(line))
+    np.testing.assert_array_equal(thinned(line[:100], stamps[:100], 0.5, most=100), line[:100])
+    rows = thinned(line, stamps, 0.5, most=100)
+    assert len(rows) <= 100
+    np.testing.assert_array_equal(rows[[0, -1]], line[[0, -1]])
+    assert {*line.argmin(axis=0), *line.argmax(axis=0)} <= {
+        int(np.flatnonzero((line == row).all(axis=1))[0]) for row in rows
+    }
 
 
 @pytest.mark.slow
