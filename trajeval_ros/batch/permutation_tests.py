@@ -251,9 +251,9 @@ def _lower_bound(sums: Floats, units: Floats, share: float) -> float:
     statistic. A share of the relabellings may reach the actual one, itself included.
     """
     slower = units[0] - units
-    rotations = np.full(len(sums), -np.inf)  # those with the units of the actual labels reach it
-    np.divide(sums[0] - sums, slower, out=rotations, where=slower > _TIE * units[0])
-    return float(np.sort(rotations)[math.floor(share * len(sums) + _TIE)])
+    thresholds = np.full(len(sums), -np.inf)  # those with the units of the actual labels reach it
+    np.divide(sums[0] - sums, slower, out=thresholds, where=slower > _TIE * units[0])
+    return float(np.sort(thresholds)[math.floor(share * len(sums) + _TIE)])
 
 
 class _Worse:

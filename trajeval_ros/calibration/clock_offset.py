@@ -117,9 +117,9 @@ def guess_offset_by(
     signal: str,
 ) -> OffsetGuess:
     """Estimate the offset by the correlation of one signal: "angular rate" or "speed"."""
-    rotations = signal == "angular rate"
-    groundtruth_poses = PoseInterpolator.of(groundtruth, with_rotations=rotations)
-    estimate_poses = PoseInterpolator.of(estimate, with_rotations=rotations, sparse=True)
+    with_rotations = signal == "angular rate"
+    groundtruth_poses = PoseInterpolator.of(groundtruth, with_rotations=with_rotations)
+    estimate_poses = PoseInterpolator.of(estimate, with_rotations=with_rotations, sparse=True)
     window_s = max(_WINDOW_S, estimate_poses.step_s)
     a, in_a = _rate(estimate_poses, window_s)
     b, in_b = _rate(groundtruth_poses, window_s)
@@ -151,8 +151,8 @@ def _rate(poses: PoseInterpolator, window_s: float) -> tuple[Floats, Floats]:
     known = before.usable & after.usable
     if before.quaternions is not None:
         assert after.quaternions is not None
-        rotated = lie.multiply(lie.conjugate(before.quaternions), after.quaternions)
-        rate = lie.angle(rotated) / window_s
+        rotation_steps = lie.multiply(lie.conjugate(before.quaternions), after.quaternions)
+        rate = lie.angle(rotation_steps) / window_s
     else:
         rate = np.linalg.norm(after.positions - before.positions, axis=1) / window_s
     if known.any():

@@ -213,16 +213,16 @@ class Increments:
         slope = self._residual(at, after, rows) - self._residual(at, before, rows)
         jacobian[..., 0] = slope / (2.0 * _REACH_S)
         jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
-        steps, rotated = self._body.steps[rows], self.body_rotation_change[rows]
+        steps, changes = self._body.steps[rows], self.body_rotation_change[rows]
         if marker.turns is None:
             jacobian[:, POSITION, TURN] = so3.skew(self._carried(at, rows) @ at.turn.T)
-            jacobian[:, POSITION, LEVER] = -at.turn @ rotated
+            jacobian[:, POSITION, LEVER] = -at.turn @ changes
             jacobian[:, POSITION, 8] = -steps @ at.turn.T
         else:
             jacobian[:, POSITION, TURN] = -so3.skew(marker.steps[rows] @ at.turn.T)
             in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
             jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
-            jacobian[:, POSITION, LEVER] = -rotated
+            jacobian[:, POSITION, LEVER] = -changes
             jacobian[:, POSITION, 8] = -steps
         return Linearised(residual, jacobian, self._since[rows], rows)
 
@@ -250,9 +250,9 @@ class Increments:
             assert after.turns is not None
             assert self._body.turns is not None
             inverse = lie.conjugate(self._body.turns[rows])
-            rotated = lie.rotation_vector(lie.multiply(after.turns, inverse))
-            rotated -= lie.rotation_vector(lie.multiply(before.turns, inverse))
-            jacobian[:, ROTATION, 0] = rotated / (2.0 * reach_s)
+            changes = lie.rotation_vector(lie.multiply(after.turns, inverse))
+            changes -= lie.rotation_vector(lie.multiply(before.turns, inverse))
+            jacobian[:, ROTATION, 0] = changes / (2.0 * reach_s)
             jacobian[:, POSITION, TURN] = -so3.skew(self._carried(at, rows))
             jacobian[:, ROTATION, TURN] = -self.body_rotation_change[rows]
             marker_turned = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T - np.eye(3)
@@ -325,8 +325,8 @@ class Increments:
         if body.turns is None:
             # The lever arm contributes little to the derivative and is omitted.
             return at.scale * body.steps @ at.turn.T
-        rotated = _matrices(body.turns) - np.eye(3)
-        return at.scale * body.steps + rotated @ at.lever_m
+        changes = _matrices(body.turns) - np.eye(3)
+        return at.scale * body.steps + changes @ at.lever_m
 
     def _from_mid(self, rows: NDArray[np.int64]) -> Floats:
         """Return the times of increments relative to the middle of the run, (N,), s."""

@@ -216,12 +216,12 @@ def assess_joint(aligned: AlignedStates, covariance: JointCovariance, source: st
     rows = covariance.rows_of(aligned.estimate)
     per_pose, nees, blocks = None, None, None
     if covariance.is_dense:
-        rotated = carried(covariance.pose_covariance(rows), aligned.similarity)
+        transformed = carried(covariance.pose_covariance(rows), aligned.similarity)
         if aligned.noise is not None:
             count, item = len(errors), np.arange(len(errors))
-            blocks_of = rotated.reshape(count, POSE_DOF, count, POSE_DOF)
+            blocks_of = transformed.reshape(count, POSE_DOF, count, POSE_DOF)
             blocks_of[item, :, item] += aligned.noise
-        projected = transformation.covariance(rotated)
+        projected = transformation.covariance(transformed)
         value = joint_nees(errors, projected, transformation.normals)
         first = aligned.first_with_nees
         blocks = diagonal_blocks(projected, POSE_DOF)

@@ -110,11 +110,11 @@ class JointCovariance:
         away = np.linalg.norm(self.positions[rows] - trajectory.positions, axis=1).max()
         quaternions = trajectory.quaternions
         assert quaternions is not None
-        rotated = lie.angle(lie.multiply(lie.conjugate(self.quaternions[rows]), quaternions)).max()
-        if away > _SAME_POSITION_M or rotated > _SAME_ROTATION_RAD:
+        angle = lie.angle(lie.multiply(lie.conjugate(self.quaternions[rows]), quaternions)).max()
+        if away > _SAME_POSITION_M or angle > _SAME_ROTATION_RAD:
             raise InputError(
                 f"the poses of the joint covariance differ from the estimate by up to {away:.3g} "
-                f"m and {np.degrees(rotated):.3g} deg at equal timestamps; check that it is from "
+                f"m and {np.degrees(angle):.3g} deg at equal timestamps; check that it is from "
                 "this estimate"
             )
         return rows

@@ -240,13 +240,13 @@ def _statements(samples: Samples) -> tuple[str, ...]:
             "them; all uncertainties are rough"
         )
     spread = samples.poses[:, :3, 3].std(axis=0).max()
-    rotations = samples.step_turns()
-    if spread < samples.noise.position_m and rotations.max() < 2.0 * samples.noise.rotation_rad:
+    angles = samples.step_turns()
+    if spread < samples.noise.position_m and angles.max() < 2.0 * samples.noise.rotation_rad:
         statements.append(
             f"the groundtruth moves less than its noise of {samples.noise.position_m:g} m, so "
             "the motion between samples can't be estimated"
         )
-    wild = np.count_nonzero(rotations > MOST_TURN_RAD)
+    wild = np.count_nonzero(angles > MOST_TURN_RAD)
     if wild:
         statements.append(
             f"consecutive groundtruth poses differ by more than {np.degrees(MOST_TURN_RAD):.0f} "

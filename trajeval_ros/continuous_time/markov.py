@@ -267,8 +267,8 @@ class Interpolator:
         variable += np.einsum("qm,qmi->qi", by_second, second.values)
         # The chart is fixed at the first knot, so that a knot affects its own end only.
         ahead = second.jacobian.copy()
-        rotated, _ = manifold.inverse_jacobians(gap)
-        ahead[:, :, :, 0, :] = ahead[:, :, :, 0, :] @ rotated[:, None]
+        jacobian, _ = manifold.inverse_jacobians(gap)
+        ahead[:, :, :, 0, :] = ahead[:, :, :, 0, :] @ jacobian[:, None]
         shape = (-1, dimension, dimension * order)
         a = np.einsum("qm,qmijk->qijk", by_first, first.jacobian).reshape(shape)
         b = np.einsum("qm,qmijk->qijk", by_second, ahead).reshape(shape)

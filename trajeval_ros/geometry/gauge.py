@@ -218,10 +218,10 @@ def orbit_basis(gauge: Gauge, positions: Floats) -> Floats:
     basis = np.zeros((len(positions), POSE_DOF, dimension(gauge)))
     if gauge is Gauge.NONE:
         return basis
-    rotations = len(axes)
-    basis[:, :3, :rotations] = np.cross(axes, positions[:, None]).swapaxes(1, 2)
-    basis[:, 3:6, :rotations] = axes.T
-    basis[:, :3, rotations : rotations + 3] = np.eye(3)
+    rotation_dof = len(axes)
+    basis[:, :3, :rotation_dof] = np.cross(axes, positions[:, None]).swapaxes(1, 2)
+    basis[:, 3:6, :rotation_dof] = axes.T
+    basis[:, :3, rotation_dof : rotation_dof + 3] = np.eye(3)
     if gauge.has_scale:
         basis[:, :3, -1] = positions
     return basis
@@ -234,10 +234,10 @@ def first_state_normals(gauge: Gauge, count: int, first_turn: Floats) -> Floats:
     pose, rad. V is (N, 6, k), zero for all poses except the first.
     """
     axes = _axes(gauge)
-    rotations = len(axes)
+    rotation_dof = len(axes)
     normals = np.zeros((count, POSE_DOF, dimension(gauge)))
-    normals[0, :3, rotations:] = np.eye(3)
-    normals[0, 3:6, :rotations] = (axes @ so3.inverse_left_jacobian(first_turn)).T
+    normals[0, :3, rotation_dof:] = np.eye(3)
+    normals[0, 3:6, :rotation_dof] = (axes @ so3.inverse_left_jacobian(first_turn)).T
     return normals
 
 
@@ -250,15 +250,15 @@ def least_squares_normals(
     the sum 1 and are zero for states outside the alignment. The rows of the rotation are zero.
     """
     axes = _axes(gauge)
-    rotations = len(axes)
+    rotation_dof = len(axes)
     normals = np.zeros((len(groundtruth), POSE_DOF, dimension(gauge)))
     if gauge is Gauge.NONE:
         return normals
     p = groundtruth - weights @ groundtruth
     q = aligned - weights @ aligned
     weight = weights[:, None]
-    normals[:, :3, :rotations] = weight[:, None] * np.cross(p[:, None], axes).swapaxes(1, 2)
-    normals[:, :3, rotations : rotations + 3] = weight[:, None] * np.eye(3)
+    normals[:, :3, :rotation_dof] = weight[:, None] * np.cross(p[:, None], axes).swapaxes(1, 2)
+    normals[:, :3, rotation_dof : rotation_dof + 3] = weight[:, None] * np.eye(3)
     if gauge.has_scale:
         normals[:, :3, -1] = weight * (p - 2.0 * q)
     return normals

@@ -63,13 +63,13 @@ def conjugate(quaternion: Floats) -> Floats:
 
 def heading(quaternion: Floats) -> Floats:
     """Return the rotations about z nearest to unit quaternions (N, 4), i.e. their yaw."""
-    rotated: Floats = quaternion * np.array([0.0, 0.0, 1.0, 1.0])
-    length = np.hypot(rotated[:, 2], rotated[:, 3])
+    headings: Floats = quaternion * np.array([0.0, 0.0, 1.0, 1.0])
+    length = np.hypot(headings[:, 2], headings[:, 3])
     # A rotation by pi about a horizontal axis has no yaw: z and w vanish. The identity is
     # returned.
-    rotated[length < 1e-9], length[length < 1e-9] = [0.0, 0.0, 0.0, 1.0], 1.0
-    rotated /= length[:, None]
-    return rotated
+    headings[length < 1e-9], length[length < 1e-9] = [0.0, 0.0, 0.0, 1.0], 1.0
+    headings /= length[:, None]
+    return headings
 
 
 def multiply(left: Floats, right: Floats) -> Floats:
@@ -237,24 +237,24 @@ def rotation_vector(quaternion: Floats) -> Floats:
     length = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
     small = length < 1e-9
     # Of q and -q, the one with w >= 0. For small angles, the vector is twice the vector part.
-    rotated = 2.0 * np.arctan2(length, np.abs(w)) / np.where(small, 1.0, length)
-    vectors: Floats = np.where(small, 2.0, rotated) * np.where(w < 0.0, -vector, vector)
+    per_sine = 2.0 * np.arctan2(length, np.abs(w)) / np.where(small, 1.0, length)
+    vectors: Floats = np.where(small, 2.0, per_sine) * np.where(w < 0.0, -vector, vector)
     return vectors
 
 
 def from_rotation_vector(vector: Floats) -> Floats:
     """Return the quaternions (..., 4) of rotation vectors (..., 3), rad."""
     x, y, z = (vector[..., i] for i in range(3))
-    rotated = np.sqrt(x * x + y * y + z * z)
-    squared = rotated * rotated
-    small = rotated <= _SMALL
+    angle = np.sqrt(x * x + y * y + z * z)
+    squared = angle * angle
+    small = angle <= _SMALL
     factor = np.where(
         small,
         0.5 - squared / 48.0 + squared * squared / 3840.0,
-        np.sin(rotated / 2.0) / np.where(small, 1.0, rotated),
+        np.sin(angle / 2.0) / np.where(small, 1.0, angle),
     )
     quaternion: Floats = np.concatenate(
-        [factor[..., None] * vector, np.cos(rotated / 2.0)[..., None]], axis=-1
+        [factor[..., None] * vector, np.cos(angle / 2.0)[..., None]], axis=-1
     )
     return quaternion
 

@@ -87,11 +87,11 @@ def preintegrate(
         input_[:, 0:3, 0:3] = jacobians[:, k]
         gain = rotations[:, k] @ by_attitude[:, k]
         noise_gain = rotations[:, k] @ by_gyroscope[:, k]
-        rotated = rotations[:, k] @ halves[:, k]
+        middle_rotations = rotations[:, k] @ halves[:, k]
         for rows, factor in ((slice(3, 6), step_s), (slice(6, 9), step_s**2 / 2.0)):
             transition[:, rows, 0:3] = gain * factor
             input_[:, rows, 0:3] = noise_gain * factor
-            input_[:, rows, 3:6] = rotated * factor
+            input_[:, rows, 3:6] = middle_rotations * factor
         covariance = transition @ covariance @ np.swapaxes(transition, 1, 2)
         covariance += (input_ * variances) @ np.swapaxes(input_, 1, 2)
         by_biases = transition @ by_biases - input_
@@ -118,8 +118,8 @@ def integrated(steps: Floats, forces: Floats, held: Floats) -> tuple[Floats, Flo
         rotations[:, k + 1] = rotations[:, k] @ steps[:, k]
     velocities, positions = np.zeros((2, intervals, samples + 1, 3))
     time_s = held[:, :, None]
-    rotated = np.einsum("nkij,nkj->nki", rotations[:, :-1], forces)
-    np.cumsum(rotated * time_s, axis=1, out=velocities[:, 1:])
-    moved = velocities[:, :-1] * time_s + rotated * (time_s**2 / 2.0)
+    world_forces = np.einsum("nkij,nkj->nki", rotations[:, :-1], forces)
+    np.cumsum(world_forces * time_s, axis=1, out=velocities[:, 1:])
+    moved = velocities[:, :-1] * time_s + world_forces * (time_s**2 / 2.0)
     np.cumsum(moved, axis=1, out=positions[:, 1:])
     return rotations, velocities, positions

@@ -31,8 +31,8 @@ def poses(rotations: Floats, positions: Floats) -> Floats:
 
 def inverse(pose: Floats) -> Floats:
     """Return the inverse motions (..., 4, 4)."""
-    rotated = transposed(pose[..., :3, :3])
-    return poses(rotated, -times(rotated, pose[..., :3, 3]))
+    inverse_rotation = transposed(pose[..., :3, :3])
+    return poses(inverse_rotation, -times(inverse_rotation, pose[..., :3, 3]))
 
 
 def exp(twist: Floats) -> Floats:

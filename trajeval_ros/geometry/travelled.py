@@ -55,5 +55,5 @@ def speeds(
     linear = np.linalg.norm(np.diff(positions, axis=0), axis=1) / steps_s
     if quaternions is None:
         return linear, None
-    rotated = lie.angle(lie.multiply(lie.conjugate(quaternions[:-1]), quaternions[1:]))
-    return linear, rotated / steps_s
+    angles = lie.angle(lie.multiply(lie.conjugate(quaternions[:-1]), quaternions[1:]))
+    return linear, angles / steps_s

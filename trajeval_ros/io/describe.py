@@ -153,8 +153,10 @@ def _describe_bag(
             for topic in bag.topics
             if topic.holds_poses and topic.count
         }
-        rotated = {topic: TransformReader(topic) for topic in bag.topics if topic.holds_transforms}
-        readers: list[PoseReader | TransformReader] = [*posed.values(), *rotated.values()]
+        transforms = {
+            topic: TransformReader(topic) for topic in bag.topics if topic.holds_transforms
+        }
+        readers: list[PoseReader | TransformReader] = [*posed.values(), *transforms.values()]
         read_topics(bag, readers)
         for topic in bag.topics:
             name = f"{source}:{topic.name}"
@@ -168,7 +170,7 @@ def _describe_bag(
                     )
             elif topic.holds_transforms and not topic.name.endswith("_static"):
                 tree_edges = tree_of(
-                    rotated[tree_topic] for tree_topic in tree_topics(bag, topic.name)
+                    transforms[tree_topic] for tree_topic in tree_topics(bag, topic.name)
                 )
                 for key, edge in tree_edges.items():
                     rate_hz, count = _rate_hz(edge.stamps), len(edge.stamps)

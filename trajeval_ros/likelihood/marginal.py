@@ -95,9 +95,9 @@ def generalised_absolute_error(residuals: Residuals) -> AbsoluteErrorDensity:
     error = AbsoluteErrorDensity(
         residuals, mode, information, laplace(mode, information), "laplace"
     )
-    rotation = _turn_uncertainty(error)
-    if rotation <= MOST_TURN_RAD:
-        return dataclasses.replace(error, statements=_statements(error, rotation, None))
+    sigma_rad = _turn_uncertainty(error)
+    if sigma_rad <= MOST_TURN_RAD:
+        return dataclasses.replace(error, statements=_statements(error, sigma_rad, None))
     value, share = importance(error)
     return AbsoluteErrorDensity(
         residuals,
@@ -106,7 +106,7 @@ def generalised_absolute_error(residuals: Residuals) -> AbsoluteErrorDensity:
         value,
         "importance",
         share,
-        _statements(error, rotation, share),
+        _statements(error, sigma_rad, share),
     )
 
 
@@ -202,10 +202,10 @@ def _log_sum(values: Floats) -> float:
 
 def _turn_uncertainty(error: AbsoluteErrorDensity) -> float:
     """Return the largest standard deviation of the alignment's rotation, rad."""
-    rotations = error.residuals.chart.turns
-    if rotations.start == rotations.stop:
+    columns = error.residuals.chart.turns
+    if columns.start == columns.stop:
         return 0.0
-    return float(np.sqrt(np.linalg.eigvalsh(error.covariance[rotations, rotations])[-1]))
+    return float(np.sqrt(np.linalg.eigvalsh(error.covariance[columns, columns])[-1]))
 
 
 def _statements(error: AbsoluteErrorDensity, turn: float, share: float | None) -> tuple[str, ...]:

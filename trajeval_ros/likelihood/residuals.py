@@ -225,14 +225,14 @@ def _first_alignment(residuals: Residuals) -> Floats:
     if not len(residuals.chart.axes):
         return se3.poses(np.eye(3), p_mean - q_mean)
     spread = (weights[:, None] * (p - p_mean)).T @ (q - q_mean)
-    rotations = np.zeros((3, 3))
+    of_rotations = np.zeros((3, 3))
     if residuals.oriented:
         known = 3.0 / np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2)
-        rotations = np.einsum("n,nij,nkj->ik", known, groundtruth[:, :3, :3], other[:, :3, :3])
+        of_rotations = np.einsum("n,nij,nkj->ik", known, groundtruth[:, :3, :3], other[:, :3, :3])
     size = float(weights @ np.square(q - q_mean).sum(axis=1))
     scale = 1.0
     for _ in range(3 if gauge.has_scale else 1):
-        both = rotations + scale * spread
+        both = of_rotations + scale * spread
         if gauge.has_so3:
             u, _, vt = np.linalg.svd(both)
             rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -219,8 +219,10 @@ def align(
     if gauge.has_scale:
         _require_motion("groundtruth", groundtruth)
         _require_motion("estimate", estimate)
-    rotated = None if orientations is None else OrientationSum.of_pairs(*orientations, weights)
-    solution = solve(gauge, moments, rotated, align_with=align_with)
+    orientation_sum = (
+        None if orientations is None else OrientationSum.of_pairs(*orientations, weights)
+    )
+    solution = solve(gauge, moments, orientation_sum, align_with=align_with)
     return dataclasses.replace(solution, states_used=count)
 
 

@@ -46,8 +46,8 @@ class Gap:
 
     def __str__(self) -> str:
         """Write it for a sentence: "12.3 s (4.51 m, 90 deg)"."""
-        rotated = "" if self.turn_deg is None else f", {self.turn_deg:.0f} deg"
-        return f"{self.duration_s:.1f} s ({self.reach_m:.2f} m{rotated})"
+        rotation_text = "" if self.turn_deg is None else f", {self.turn_deg:.0f} deg"
+        return f"{self.duration_s:.1f} s ({self.reach_m:.2f} m{rotation_text})"
 
 
 @dataclass(frozen=True)
@@ -195,10 +195,10 @@ class StampedPoses(NamedTuple):
     @classmethod
     def of(cls, trajectory: Trajectory, rows: Indices) -> StampedPoses:
         """Return rows of a trajectory; the rows are in order of time."""
-        rotated = trajectory.quaternions
+        quaternions = trajectory.quaternions
         poses = np.empty((len(rows), POSE.stop))
         poses[:, :3] = trajectory.positions[rows]
-        poses[:, 3:] = np.nan if rotated is None else rotated[rows]
+        poses[:, 3:] = np.nan if quaternions is None else quaternions[rows]
         return cls(trajectory.stamps[rows], poses)
 
     @classmethod

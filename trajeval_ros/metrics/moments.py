@@ -107,11 +107,11 @@ class Moments:
     def with_anchor(self, anchor: Similarity) -> Moments:
         """Return the moments of the same pairs with the residuals of another anchor."""
         # r' = p - A' q - t' = r + (A - A') q + (t - t').
-        rotation = np.eye(6)
-        rotation[3:, :3] = self.anchor.linear - anchor.linear
-        mean = rotation @ self.mean
+        change = np.eye(6)
+        change[3:, :3] = self.anchor.linear - anchor.linear
+        mean = change @ self.mean
         mean[3:] += self.anchor.translation - anchor.translation
-        return Moments(anchor, self.weight, mean, rotation @ self.scatter @ rotation.T)
+        return Moments(anchor, self.weight, mean, change @ self.scatter @ change.T)
 
     @property
     def mean_q(self) -> Floats:
@@ -136,20 +136,20 @@ class Moments:
 
     def covariance_error(self, linear: Floats) -> Floats:
         """Return the covariance of p - L q, (3, 3), square metres, for a linear map L (3, 3)."""
-        rotation = np.concatenate([self.anchor.linear - linear, _IDENTITY], axis=1)
-        covariance: Floats = rotation @ self.scatter @ rotation.T / self.weight
+        change = np.concatenate([self.anchor.linear - linear, _IDENTITY], axis=1)
+        covariance: Floats = change @ self.scatter @ change.T / self.weight
         return covariance
 
     def mean_difference(self, linear: Floats) -> Floats:
         """Return the mean of p - L q, (3,), metres, for a linear map L (3, 3)."""
         # p - L q = (A - L) q + r + t, where A - L and r are small: no cancellation.
-        rotated = (self.anchor.linear - linear) @ self.mean_q
-        return rotated + self.mean[3:] + self.anchor.translation
+        difference = (self.anchor.linear - linear) @ self.mean_q
+        return difference + self.mean[3:] + self.anchor.translation
 
     def spread(self, linear: Floats) -> float:
         """Return the root mean square of |p - L q - their mean|, metres."""
-        rotation = np.concatenate([self.anchor.linear - linear, _IDENTITY], axis=1)
-        return math.sqrt(max(float(np.vdot(rotation @ self.scatter, rotation)), 0.0) / self.weight)
+        change = np.concatenate([self.anchor.linear - linear, _IDENTITY], axis=1)
+        return math.sqrt(max(float(np.vdot(change @ self.scatter, change)), 0.0) / self.weight)
 
     def rmse(self, alignment: Similarity) -> float:
         """Return the root mean square of |p - (aligned q)|, metres: the ATE, eq. (24)."""

@@ -81,12 +81,14 @@ def debiased(
         product: Floats = (halves @ mixed).reshape(columns.shape)
         return product
 
-    rotated = times_covariance(basis)
+    weighted = times_covariance(basis)
     products = covariances.reshape(count, 9) @ covariances.reshape(count, 9).T
     square = float(np.vdot(correlations**2, products))
-    noise = float(np.trace(covariances, axis1=1, axis2=2).sum() - np.vdot(basis, rotated))
+    noise = float(np.trace(covariances, axis1=1, axis2=2).sum() - np.vdot(basis, weighted))
     noise_square = (
-        square - 2.0 * float(np.vdot(rotated, rotated)) + float(np.square(basis.T @ rotated).sum())
+        square
+        - 2.0 * float(np.vdot(weighted, weighted))
+        + float(np.square(basis.T @ weighted).sum())
     )
     column = errors.reshape(-1, 1)
     crossed = max(0.0, float(np.vdot(column, times_covariance(column))) - noise_square)

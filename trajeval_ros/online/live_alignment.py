@@ -62,19 +62,19 @@ class LiveAlignment:
         if protocol.align_states == 1:
             self._align_by_one(pairs)
             return
-        moments, rotated = self._sums_to_align_by(pairs)
+        moments, orientation_sum = self._sums_to_align_by(pairs)
         if moments.weight < gauge.minimum_states:
             self.why_not = (
                 f"{int(moments.weight)} of {counted(gauge.minimum_states, 'state')} for the "
                 "alignment"
             )
             return
-        oriented = rotated.weight == moments.weight
+        oriented = orientation_sum.weight == moments.weight
         if protocol.align_with == "poses" and not oriented:
             self.why_not = "align with poses needs orientations on both sides"
             return
         solution = solve(
-            gauge, moments, rotated if oriented else None, align_with=protocol.align_with
+            gauge, moments, orientation_sum if oriented else None, align_with=protocol.align_with
         )
         self.why_not = solution.undetermined
         if self._freezes and not self.why_not:

@@ -134,8 +134,8 @@ class LiveAvailability:
             "available/latency": float(messages.times[row] - messages.stamps[row]) / NANOSECONDS,
         }
         if samples.rotation is not None:
-            rotated = np.degrees(np.linalg.norm(samples.rotation[:, -1].sum(axis=0)))
-            self.numbers["available/rotation_error"] = float(rotated)
+            rotation_deg = np.degrees(np.linalg.norm(samples.rotation[:, -1].sum(axis=0)))
+            self.numbers["available/rotation_error"] = float(rotation_deg)
         late = np.append(self._is_late, ages_s > self._rule.deadline_s)
         self.missed += int(np.count_nonzero(late[1:] & ~late[:-1]))
         self._is_late = bool(late[-1])

@@ -95,9 +95,9 @@ def _about_first_state(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, other = pairs.groundtruth[:2].quaternions, pairs.estimate[:2].quaternions
     if len(pairs) < 3 or groundtruth is None or other is None:
         return
-    rotated = lie.angle(lie.multiply(lie.conjugate(other[0]), other[1]))
+    angle = lie.angle(lie.multiply(lie.conjugate(other[0]), other[1]))
     true_turn = lie.angle(lie.multiply(lie.conjugate(groundtruth[0]), groundtruth[1]))
-    jump_deg = float(np.degrees(np.abs(rotated - true_turn)))
+    jump_deg = float(np.degrees(np.abs(angle - true_turn)))
     if jump_deg < LARGE_TILT_DEG:
         return
     yield warning(

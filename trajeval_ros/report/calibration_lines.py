@@ -120,5 +120,5 @@ def _growth(calibrated: Calibrated) -> list[str]:
 
 def _both(ate: Ate) -> str:
     """Return position and rotation ATE as a text."""
-    rotated = "" if ate.rotation_deg is None else f" {with_unit(ate.rotation_deg, 'deg')}"
-    return f"{with_unit(ate.position_m, 'm')}{rotated}"
+    rotation_text = "" if ate.rotation_deg is None else f" {with_unit(ate.rotation_deg, 'deg')}"
+    return f"{with_unit(ate.position_m, 'm')}{rotation_text}"

@@ -83,11 +83,11 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
     assert nees is not None
     assert per_pose is not None
     gap_s = evaluation.protocol.association.max_gap_s
-    moved, rotated = consistency.axes
+    moved, rotation_axes = consistency.axes
     for values, label, place in (
-        (nees.rotation, f"orientation / {rotated}", 2),
+        (nees.rotation, f"orientation / {rotation_axes}", 2),
         (nees.position, f"position / {moved}", 3),
-        (nees.pose, f"pose / {moved + rotated}", 0),
+        (nees.pose, f"pose / {moved + rotation_axes}", 0),
     ):
         colour, _ = canvas.line_style(place)
         columns = np.stack([groundtruth.seconds - groundtruth.seconds[0], values], axis=1)
@@ -100,7 +100,7 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
     if limit is not None:
         lowest.axhline(
             limit, color=canvas.text_color(), linestyle="--", linewidth=0.9,
-            label=f"pose / {moved + rotated}: 95 % of consistent runs stay below",
+            label=f"pose / {moved + rotation_axes}: 95 % of consistent runs stay below",
         )  # fmt: skip
     canvas.legend_above(lowest)
 
@@ -130,13 +130,13 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
     )
     axes = panels.of(0)
     panels.draw_path(0, thinned(aligned.positions[:, :2], aligned.stamps, max_gap_s))
-    rotated = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    angles_deg = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
     edge, _ = canvas.line_style(1)
     axes.add_collection(
         EllipseCollection(
             factor * axes_m[:, 1],
             factor * axes_m[:, 0],
-            rotated,
+            angles_deg,
             units="xy",
             offsets=aligned.positions[rows, :2],
             offset_transform=axes.transData,

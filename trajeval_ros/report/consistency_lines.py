@@ -47,11 +47,11 @@ def consistency_lines(name: str, consistency: Consistency) -> list[str]:
         if per_pose.limit_95 is not None:
             limit = f" (95 % of consistent runs: below {per_pose.limit_95:.2f})"
         position, rotation = per_pose.position, per_pose.rotation
-        moved, rotated = consistency.axes
+        moved, rotation_axes = consistency.axes
         lines += [
-            f"  NEES / {moved + rotated} of single poses: mean {per_pose.mean:.3f}{band}, largest "
-            f"{per_pose.max:.3f}{limit}",
-            f"  NEES / {rotated} of orientations: mean {rotation.mean:.3f}, largest "
+            f"  NEES / {moved + rotation_axes} of single poses: mean {per_pose.mean:.3f}{band}, "
+            f"largest {per_pose.max:.3f}{limit}",
+            f"  NEES / {rotation_axes} of orientations: mean {rotation.mean:.3f}, largest "
             f"{rotation.max:.3f}",
             f"  NEES / {moved} of positions: mean {position.mean:.3f}, largest {position.max:.3f}",
         ]

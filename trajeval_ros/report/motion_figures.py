@@ -244,9 +244,9 @@ def _whole_turns(stamps: Stamps, angles: Floats, at: Stamps, others: Floats) -> 
     degrees. Before and after the others, they are those of the nearest common time.
     """
     near = np.column_stack([np.interp(stamps, at, column) for column in others.T])
-    rotations = 360.0 * np.round((angles - near) / 360.0)
+    full_rotations = 360.0 * np.round((angles - near) / 360.0)
     common = np.searchsorted(stamps, stamps.clip(at[0], at[-1])).clip(max=len(stamps) - 1)
-    return np.asarray(rotations[common], dtype=float)
+    return np.asarray(full_rotations[common], dtype=float)
 
 
 def _lines(

@@ -63,13 +63,13 @@ def verdict(
     assert position is not None
     name = evaluation.estimate.name or "estimate"
     protocol, pairs = evaluation.protocol, evaluation.association
-    rotated = "rotation withheld"
+    rotation_text = "rotation withheld"
     if rotation is not None:
-        rotated = f"rotation {with_unit(rotation.rmse, 'deg')}"
+        rotation_text = f"rotation {with_unit(rotation.rmse, 'deg')}"
         if pairs.has_headings_only:
-            rotated += " including tilt against 2-D headings"
+            rotation_text += " including tilt against 2-D headings"
     elif evaluation.relative is None and protocol.lengths:
-        rotated = "rotation and drift withheld"
+        rotation_text = "rotation and drift withheld"
     kitti = f"{evaluation.kitti_ranking}; " if evaluation.kitti_ranking else ""
     how = "without" if protocol.gauge is Gauge.NONE else "after"
     whole = f"position error {with_unit(position.rmse, 'm')} RMSE {how} alignment (ATE)"
@@ -80,7 +80,7 @@ def verdict(
     has_gaps = likelihood is not None and likelihood.ate.supported_share < 1.0
     few = few_pairs(protocol, pairs)
     return [
-        f"{name}: {kitti}{supported or whole}, {rotated}{_drift(evaluation)}"
+        f"{name}: {kitti}{supported or whole}, {rotation_text}{_drift(evaluation)}"
         + (f"; {few}" if few else ""),
         *(
             [f"  {whole} over all pairs, gaps of the groundtruth included"]
@@ -311,5 +311,5 @@ def explanation(diagnosis: Diagnosis) -> list[str]:
 
 
 def _ate(ate: Ate) -> str:
-    rotated = NOTHING if ate.rotation_deg is None else four_digits(ate.rotation_deg)
-    return f"{four_digits(ate.position_m)} m, {rotated} deg"
+    rotation_text = NOTHING if ate.rotation_deg is None else four_digits(ate.rotation_deg)
+    return f"{four_digits(ate.position_m)} m, {rotation_text} deg"

@@ -77,24 +77,24 @@ def shape(name: str, length_m: float = 5.0) -> Motion:
     """
     require_one_of(name, SHAPES, "shape")
     s = np.linspace(0.0, 1.0, _WAYPOINTS)
-    rotation = 2.0 * np.pi * s
+    phase = 2.0 * np.pi * s
     if name == "sine":
-        points = [s, 0.12 * np.sin(1.5 * rotation), 0.05 * np.sin(rotation + 0.4)]
+        points = [s, 0.12 * np.sin(1.5 * phase), 0.05 * np.sin(phase + 0.4)]
         angles = [
-            60.0 + 12.0 * np.sin(rotation),
-            6.0 * np.sin(rotation + 1.0),
-            8.0 * np.sin(1.5 * rotation),
+            60.0 + 12.0 * np.sin(phase),
+            6.0 * np.sin(phase + 1.0),
+            8.0 * np.sin(1.5 * phase),
         ]
     elif name == "arc":
         along = np.radians(100.0 * s)
-        points = [np.sin(along), 1.0 - np.cos(along), 0.08 * np.sin(rotation)]
-        angles = [90.0 + 100.0 * s, 5.0 * np.sin(rotation), 6.0 * np.sin(rotation + 0.7)]
+        points = [np.sin(along), 1.0 - np.cos(along), 0.08 * np.sin(phase)]
+        angles = [90.0 + 100.0 * s, 5.0 * np.sin(phase), 6.0 * np.sin(phase + 0.7)]
     else:
         corners = np.array([[0.0, 0.0], [1.5, 0.0], [1.5, 1.0], [0.0, 1.0], [0.0, 0.0]])
         travelled = [0.0, 1.5, 2.5, 4.0, 5.0]
         x, y = (np.interp(4.0 * s, travelled, corners[:, axis]) for axis in range(2))
-        points = [x, y, 0.1 * np.sin(rotation)]
-        angles = [20.0 + 25.0 * np.sin(rotation), 6.0 * np.sin(rotation), 5.0 * np.cos(rotation)]
+        points = [x, y, 0.1 * np.sin(phase)]
+        angles = [20.0 + 25.0 * np.sin(phase), 6.0 * np.sin(phase), 5.0 * np.cos(phase)]
     positions = np.stack(points, axis=1)
     path_m = np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()
     positions *= length_m / path_m

@@ -86,8 +86,8 @@ def compare_handlings(
     rows: dict[GaugeHandling, list[tuple[float, ...]]] = {handling: [] for handling in handlings}
     for trial in range(trials):
         # The first one has cold caches: alternate the order for fair times.
-        rotation = trial % len(handlings)
-        for handling in (*handlings[rotation:], *handlings[:rotation]):
+        first = trial % len(handlings)
+        for handling in (*handlings[first:], *handlings[:first]):
             rows[handling].append(_trial(scene, trial, handling, PRIOR_WEIGHT)[0])
         advance()
     return {handling: _columns(trials_of) for handling, trials_of in rows.items()}

@@ -57,17 +57,17 @@ def prepared(
         InputError: Their motions are not related, or a sensor is missing.
     """
     name, imu = groundtruth.name or "the groundtruth", imu_of(readings)
-    rotated, has_rotations = groundtruth.quaternions, groundtruth.quaternions is not None
-    if rotated is None and readings.accelerations is None:
+    quaternions, has_rotations = groundtruth.quaternions, groundtruth.quaternions is not None
+    if quaternions is None and readings.accelerations is None:
         raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
     free, notes = _determined(groundtruth, imu, has_forces=readings.accelerations is not None)
     if time_offset_s is None:
         time_offset_s = _first_offset(groundtruth, imu, name)
     shift_ns = round(time_offset_s * NANOSECONDS)
     seconds = (groundtruth.stamps + (shift_ns - imu.origin)) / NANOSECONDS
-    if rotated is None:
-        rotated = rough_orientations(seconds, groundtruth.positions, imu)
-    samples = TruthSamples(seconds, groundtruth.positions, rotated, has_rotations)
+    if quaternions is None:
+        quaternions = rough_orientations(seconds, groundtruth.positions, imu)
+    samples = TruthSamples(seconds, groundtruth.positions, quaternions, has_rotations)
     _require_metres(samples, imu, name)
     return Prepared(samples, imu, shift_ns, free, notes)
 
@@ -269,8 +269,8 @@ def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tup
     if turns_about_one_axis(imu.rates) and not turns_in_place(samples.positions, imu.rates):
         # They do not determine the angle about this axis, and swings do.
         by_swings = rough_orientations(samples.seconds, samples.positions, imu)
-        rotated = lie.multiply(lie.conjugate(by_swings), samples.quaternions)
-        little = _LITTLE * np.square(of_imu).sum() * lie.to_matrix(rotated).mean(axis=0)
+        apart = lie.multiply(lie.conjugate(by_swings), samples.quaternions)
+        little = _LITTLE * np.square(of_imu).sum() * lie.to_matrix(apart).mean(axis=0)
         rotations = np.vstack([of_imu - bias * _INCREMENT_S, little.T])
         body = closest_rotation(rotations, np.vstack([of_marker, np.eye(3)]))
     return body, bias

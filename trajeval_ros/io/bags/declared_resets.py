@@ -30,11 +30,11 @@ def declared_resets(columns: PoseColumns) -> tuple[DeclaredReset, ...]:
     if columns.velocities is not None:
         seconds = (columns.stamps[after] - columns.stamps[before]) / NANOSECONDS
         steps -= np.nan_to_num(columns.velocities[before]) * seconds[:, None]
-    rotations = np.zeros(len(after))
+    angles_deg = np.zeros(len(after))
     if columns.quaternions is not None:
         first, last = columns.quaternions[before], columns.quaternions[after]
-        rotations = np.degrees(lie.angle(lie.multiply(lie.conjugate(first), last)))
-    rows = columns.stamps[after], np.linalg.norm(steps, axis=1), rotations
+        angles_deg = np.degrees(lie.angle(lie.multiply(lie.conjugate(first), last)))
+    rows = columns.stamps[after], np.linalg.norm(steps, axis=1), angles_deg
     return tuple(map(DeclaredReset, *(row.tolist() for row in rows)))
 
 

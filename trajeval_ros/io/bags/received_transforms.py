@@ -86,8 +86,8 @@ class ReceivedChain:
 
     def _add(self, key: EdgeKey, new: Transforms, *, at_end: bool) -> None:
         """Take usable transforms; one that was received with the newest pose holds just after."""
-        finite, rotated = valid_mask(new["numbers"][:, :3], new["numbers"][:, 3:])
-        new = new[(new["stamp"] != 0) & (new["time"] != UNKNOWN) & finite & rotated]
+        finite, is_rotation = valid_mask(new["numbers"][:, :3], new["numbers"][:, 3:])
+        new = new[(new["stamp"] != 0) & (new["time"] != UNKNOWN) & finite & is_rotation]
         new["time"] = np.maximum.accumulate(np.maximum(new["time"], self._until + 1))
         if key == self.leading:
             _, new = self._trust.take(new["stamp"], new, at_end=at_end)

@@ -41,8 +41,8 @@ class Edge:
         Transforms that are not poses or have no time are left out. Of several transforms with
         the same stamp, the last one is used.
         """
-        finite, rotated = valid_mask(numbers[:, :3], numbers[:, 3:])
-        usable = finite & rotated & (is_static | times(stamps))
+        finite, is_rotation = valid_mask(numbers[:, :3], numbers[:, 3:])
+        usable = finite & is_rotation & (is_static | times(stamps))
         stamps, numbers = stamps[usable], numbers[usable]
         lengths = np.linalg.norm(numbers[:, 3:], axis=1)
         everything = cls(stamps, numbers[:, :3], numbers[:, 3:] / lengths[:, None], is_static)
