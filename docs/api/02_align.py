@@ -14,11 +14,12 @@ for gauge in Gauge:
 # The same alignment by hand, with weights: the pairs of the first 10 s count ten times.
 pairs = evaluation.association
 weights = np.where(pairs.estimate.seconds < 10.0, 10.0, 1.0)
-found = align("yaw", pairs.groundtruth.positions, pairs.estimate.positions, weights)
-print("translation, m:", found.similarity.translation)
+alignment = align("yaw", pairs.groundtruth.positions, pairs.estimate.positions, weights)
+print("translation, m:", alignment.similarity.translation)
 
 # A transform of your own: groundtruth frame from estimate frame.
-known = Similarity(rotation=found.similarity.rotation, translation=found.similarity.translation)
+fitted = alignment.similarity
+known = Similarity(rotation=fitted.rotation, translation=fitted.translation)
 moved = known.trajectory(estimate)
 errors = evaluate(groundtruth, moved, Protocol(gauge="none", lengths=()))
 print("under the known transform:", errors.ate["position_m"].rmse, "m")

@@ -13,15 +13,16 @@ marker = HandEye(rotation_xyzw=np.array([0.0, 0.0, half, half]), lever_m=np.arra
 groundtruth = marker.inverse().of_body(flight.groundtruth)
 groundtruth = replace(groundtruth, stamps=groundtruth.stamps + 100_000_000)
 
-found = calibrate(groundtruth, flight.estimate, "yaw")
-print("offset, s:", found.offset.value, "+-", found.offset.half_width_95, found.offset.status)
-print("rotation:", found.turn.status, found.turn.reason)
-print("lever arm:", found.lever.status, found.lever.reason)
+calibration = calibrate(groundtruth, flight.estimate, "yaw")
+offset = calibration.offset
+print("offset, s:", offset.value, "+-", offset.half_width_95, offset.status)
+print("rotation:", calibration.rotation.status, calibration.rotation.reason)
+print("lever arm:", calibration.lever.status, calibration.lever.reason)
 
 # In an evaluation, only what is significant is applied.
 protocol = Protocol(gauge="yaw", lengths=())
-wanted = CalibrationRequest(offset=True, hand_eye=True)
-calibrated = run(groundtruth, [flight.estimate], Request(protocol, wanted)).runs[0].calibrated
+request = CalibrationRequest(offset=True, hand_eye=True)
+calibrated = run(groundtruth, [flight.estimate], Request(protocol, request)).runs[0].calibrated
 print("before:", calibrated.before, "after:", calibrated.after)
 known = CalibrationRequest(offset=True, known=marker)
 print("known marker:", run(groundtruth, [flight.estimate], Request(protocol, known)).runs[0])

@@ -5,7 +5,7 @@ from trajeval_ros import evaluate, explain, simulate
 flight = simulate(seed=1, duration_s=60.0)
 published = f"{evaluate(flight.groundtruth, flight.estimate).ate['position_m'].rmse:.5f}"
 
-found = explain([(flight.groundtruth, flight.estimate, [published])], unit="m")
-print(found.verdict, published)
-for match in found.matches[:3]:
+explanation = explain([(flight.groundtruth, flight.estimate, [published])], unit="m")
+print(explanation.verdict, published)
+for match in explanation.matches[:3]:
     print(match.definitions[0])

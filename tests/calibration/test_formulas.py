@@ -14,11 +14,11 @@ from strategies import seeds
 
 from trajeval_ros.calibration.hand_eye import closest_rotation, lever_arm, robust_rotation
 from trajeval_ros.calibration.increments import (
+    BODY_ROTATION,
     LEVER,
     OFFSET,
     SCALE,
     SKEW,
-    TURN,
     Increments,
     PoseInterpolator,
 )
@@ -39,7 +39,7 @@ def test_true_parameters_leave_no_residual(oriented: bool) -> None:
     begin = increments.start(FAULT.offset_s, with_scale=True, about_z=False)
     assert begin.skew == 0.0
     if oriented:
-        np.testing.assert_allclose(begin.turn, unknowns.turn, atol=0.01)
+        np.testing.assert_allclose(begin.rotation, unknowns.rotation, atol=0.01)
         np.testing.assert_allclose(begin.lever_m, unknowns.lever_m, atol=0.02)
         assert begin.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=0.01)
 
@@ -49,15 +49,15 @@ def test_positions_alone_start_at_the_turn_between_the_worlds() -> None:
     truth, estimate, unknowns = flown(oriented=False, fault=fault)
     increments = Increments(truth, estimate)
     scaled = increments.start(FAULT.offset_s, with_scale=True, about_z=False)
-    np.testing.assert_allclose(scaled.turn, unknowns.turn, atol=1e-4)
+    np.testing.assert_allclose(scaled.rotation, unknowns.rotation, atol=1e-4)
     assert scaled.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=1e-4)
     assert not scaled.lever_m.any()
     assert (scaled.offset_s, scaled.skew) == (FAULT.offset_s, 0.0)
     rigid = increments.start(FAULT.offset_s, with_scale=False, about_z=True)
     assert rigid.scale == 1.0
-    np.testing.assert_array_equal(rigid.turn[2], [0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(rigid.rotation[2], [0.0, 0.0, 1.0])
     nothing = increments.start(1e4, with_scale=True, about_z=False)
-    np.testing.assert_array_equal(nothing.turn, np.eye(3))
+    np.testing.assert_array_equal(nothing.rotation, np.eye(3))
     assert nothing.scale == 1.0
 
 
@@ -102,7 +102,7 @@ def test_either_side_has_the_same_jacobian(oriented: bool) -> None:
         unknowns, result.rows
     )
     assert known.sum() > 300
-    columns = [OFFSET, SKEW, TURN, LEVER, SCALE] if oriented else [OFFSET, SKEW, SCALE]
+    columns = [OFFSET, SKEW, BODY_ROTATION, LEVER, SCALE] if oriented else [OFFSET, SKEW, SCALE]
     for column in columns:
         estimated, other = (
             result.jacobian[known][..., column],

@@ -61,7 +61,7 @@ def test_a_marker_that_flips_is_judged(axis: int, seed: int) -> None:
     flipping = dataclasses.replace(groundtruth, quaternions=rotated)
     result = calibrate(flipping, flight.estimate, "yaw")
     assert result.offset.reason
-    assert result.turn.reason
+    assert result.rotation.reason
 
 
 def test_a_fit_without_free_directions_stays_at_its_start() -> None:
@@ -73,7 +73,7 @@ def test_a_fit_without_free_directions_stays_at_its_start() -> None:
     assert fitted.settled
     assert fitted.free == 0
     assert fitted.unknowns.offset_s == start.offset_s
-    np.testing.assert_array_equal(fitted.unknowns.turn, start.turn)
+    np.testing.assert_array_equal(fitted.unknowns.rotation, start.rotation)
     np.testing.assert_array_equal(fitted.covariance, np.zeros((COLUMNS, COLUMNS)))
     expected = increments.linearise(start).residual
     np.testing.assert_array_equal(fitted.linearised.residual, expected)
@@ -84,7 +84,7 @@ def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
     truth, estimate = fly(axis, 60.0)
     result = evaluate_calibrated(truth, mirrored(estimate, axis), YAW, AUTO)
     assert result.calibration is not None
-    rotation = result.calibration.turn
+    rotation = result.calibration.rotation
     assert rotation.chance is not None
     assert rotation.chance < 1e-6  # by all rows together it would be there
     assert rotation.value is not None
@@ -107,7 +107,7 @@ def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
 @pytest.mark.parametrize("seed", [7, 27])
 def test_attitude_that_drifts_on_its_own_is_no_rotation_of_the_body(kind: str, seed: int) -> None:
     truth, estimate = fly(seed, 60.0, kind)
-    rotation = calibrate(truth, jumping(estimate, seed, 0.5)).turn
+    rotation = calibrate(truth, jumping(estimate, seed, 0.5)).rotation
     assert rotation.chance is not None
     assert rotation.chance < 0.0027
     assert rotation.status == "insignificant"
@@ -121,7 +121,7 @@ def test_a_rotation_that_both_kinds_of_rows_show_is_kept(kind: str, seed: int) -
     axis[:2] += np.sign(axis[:2])  # on a road, not about its only axis
     vector = np.radians(5.0) * axis / np.linalg.norm(axis)
     truth, estimate = fly(seed, 120.0, kind, Fault(rotation_vector=vector))
-    rotation = calibrate(truth, estimate).turn
+    rotation = calibrate(truth, estimate).rotation
     assert rotation.is_significant
     assert rotation.value is not None
     np.testing.assert_allclose(rotation.value, vector, atol=np.radians(1.0))

@@ -36,9 +36,9 @@ def test_a_smooth_flight_has_its_exact_calibration() -> None:
     assert result.skew is not None
     assert result.skew.value is not None
     assert result.skew.value[0] == pytest.approx(FAULT.skew, abs=3e-6)
-    assert result.turn.value is not None
-    rotated = Rotation.from_rotvec(result.turn.value).as_matrix()
-    np.testing.assert_allclose(rotated, unknowns.turn, atol=1e-5)
+    assert result.rotation.value is not None
+    rotated = Rotation.from_rotvec(result.rotation.value).as_matrix()
+    np.testing.assert_allclose(rotated, unknowns.rotation, atol=1e-5)
     np.testing.assert_allclose(result.lever.value, unknowns.lever_m, atol=1e-5)
     assert result.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=1e-5)
     assert result.fitted == 9
@@ -92,7 +92,7 @@ def test_a_fit_of_few_directions_moves_along_them_alone(
     assert result is not None
     moved = result.unknowns.lever_m - begin.lever_m
     np.testing.assert_allclose(moved, axis[0] * (axis[0] @ moved), atol=1e-12)
-    np.testing.assert_array_equal(result.unknowns.turn, begin.turn)
+    np.testing.assert_array_equal(result.unknowns.rotation, begin.rotation)
     assert result.unknowns.skew == 0.0
     fixed = [1, 2, 3, 4, 6, 8]
     assert not result.covariance[fixed].any()

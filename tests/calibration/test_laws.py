@@ -23,13 +23,13 @@ few = hypothesis_settings(max_examples=3)
 
 
 def values(calibration: Calibration) -> list[np.ndarray]:
-    result = [calibration.offset.value, calibration.turn.value, calibration.lever.value]
+    result = [calibration.offset.value, calibration.rotation.value, calibration.lever.value]
     assert all(value is not None for value in result)
     return [value for value in result if value is not None]
 
 
 def sigmas(calibration: Calibration) -> list[np.ndarray]:
-    result = [calibration.offset.sigma, calibration.turn.sigma, calibration.lever.sigma]
+    result = [calibration.offset.sigma, calibration.rotation.sigma, calibration.lever.sigma]
     return [sigma for sigma in result if sigma is not None]
 
 
@@ -117,7 +117,7 @@ def test_scales_of_units() -> None:
 def test_identical_trajectories_need_nothing() -> None:
     truth, _ = fly(2)
     result = calibrate(truth, truth, systematic=NONE)
-    assert [item.status for item in (result.offset, result.turn, result.lever)] == 3 * [
+    assert [item.status for item in (result.offset, result.rotation, result.lever)] == 3 * [
         "insignificant"
     ]
     for value in values(result):
@@ -146,5 +146,5 @@ def test_clocks_of_different_epochs(epoch_apart_s: float) -> None:
 def test_reliabilities_are_correlations() -> None:
     for kind in ("drone", "car", "straight", "translating", "static"):
         result = calibrate(*fly(7, 40.0, kind, FAULT))
-        for item in (result.offset, result.turn, result.lever):
+        for item in (result.offset, result.rotation, result.lever):
             assert (np.abs(item.reliability) <= 1.0).all()

@@ -56,11 +56,11 @@ def flown(seed: int) -> tuple[Fault, Trajectory, Trajectory]:
 
 def misses(outcome: Calibration, fault: Fault) -> tuple[float, np.ndarray, np.ndarray]:
     assert outcome.offset.value is not None
-    assert outcome.turn.value is not None
+    assert outcome.rotation.value is not None
     assert outcome.lever.value is not None
     # The perturbation that the covariance is of: on the left of the rotation.
     true = Rotation.from_rotvec(fault.rotation_vector)
-    rotated = (Rotation.from_rotvec(outcome.turn.value) * true.inv()).as_rotvec()
+    rotated = (Rotation.from_rotvec(outcome.rotation.value) * true.inv()).as_rotvec()
     offset = float(outcome.offset.value[0]) - fault.offset_s
     return offset, rotated, outcome.lever.value - np.asarray(fault.lever_m)
 
@@ -75,10 +75,10 @@ def test_intervals_of_95_percent_cover_the_truth_and_naive_ones_do_not() -> None
         assert result.offset.is_significant
         offset, rotated, lever_m = misses(result, fault)
         assert result.offset.half_width_95 is not None
-        assert result.turn.half_width_95 is not None
+        assert result.rotation.half_width_95 is not None
         assert result.lever.half_width_95 is not None
         offsets += abs(offset) <= result.offset.half_width_95[0]
-        rotations += int((np.abs(rotated) <= result.turn.half_width_95).sum())
+        rotations += int((np.abs(rotated) <= result.rotation.half_width_95).sum())
         levers += int((np.abs(lever_m) <= result.lever.half_width_95).sum())
         errors.append([abs(offset), *np.abs(rotated), *np.abs(lever_m)])
 

@@ -16,12 +16,12 @@ from trajeval_ros.calibration import robust_fit
 from trajeval_ros.calibration.clock_offset import guess_offset, masked_correlation, refined_peak
 from trajeval_ros.calibration.hand_eye import closest_rotation, lever_arm
 from trajeval_ros.calibration.increments import (
+    BODY_ROTATION,
     COLUMNS,
     LEVER,
     OFFSET,
     SCALE,
     SKEW,
-    TURN,
     Increments,
     Unknowns,
 )
@@ -139,7 +139,7 @@ def test_fit(reference: Reference, name: str, away_s: float) -> None:
     assert guess.peak == pytest.approx(numbers["ncc"]["peak"], abs=1e-6)
 
     free = [OFFSET]
-    free += [TURN, LEVER] if true["lever"] else []
+    free += [BODY_ROTATION, LEVER] if true["lever"] else []
     free += [SKEW, SCALE] if name == "exact_scale_skew" else []
     basis = np.concatenate([np.eye(COLUMNS)[:, columns] for columns in free], axis=1)
     increments = Increments(truth, estimate)
@@ -156,7 +156,7 @@ def test_fit(reference: Reference, name: str, away_s: float) -> None:
     result, expected = fitted.unknowns, numbers["fit"]
     assert result.offset_s == pytest.approx(expected["offset"], abs=1e-7 if exact else 2e-5)
     assert 1e6 * result.skew == pytest.approx(expected["skew_ppm"], abs=1e-3)
-    rotation = Rotation.from_matrix(result.turn).as_rotvec()
+    rotation = Rotation.from_matrix(result.rotation).as_rotvec()
     assert np.allclose(rotation, expected["R_X_rotvec"], rtol=0.0, atol=1e-6 if exact else 2e-5)
     assert np.allclose(result.lever_m, expected["lever"], rtol=0.0, atol=1e-5 if exact else 5e-4)
     assert result.scale == pytest.approx(expected["scale"], abs=1e-6 if exact else 1e-4)
@@ -166,7 +166,7 @@ def test_fit(reference: Reference, name: str, away_s: float) -> None:
         for item, sigma in numbers["sigma"].items():
             assert sigmas[item] == pytest.approx(sigma, rel=0.05)
     seen = observability(increments, fitted)
-    for actual, theirs in (("offset", "offset"), ("turn", "X"), ("lever", "l")):
+    for actual, theirs in (("offset", "offset"), ("rotation", "X"), ("lever", "l")):
         if theirs in numbers["reliability"]:
             expected_reliability = numbers["reliability"][theirs]
             assert np.allclose(seen[actual].reliability, expected_reliability, atol=0.01)

@@ -32,7 +32,7 @@ def without_rotations(trajectory: Trajectory) -> Trajectory:
 @pytest.mark.parametrize("kind", ["straight", "static"])
 def test_constant_motion_shows_nothing(kind: str) -> None:
     result = calibrate(*fly(1, 60.0, kind, FAULT))
-    for item in (result.offset, result.turn, result.lever):
+    for item in (result.offset, result.rotation, result.lever):
         assert item.status == "unobservable"
         assert item.value is None
         assert item.sigma is None
@@ -45,7 +45,7 @@ def test_translation_alone_shows_clock_and_rotation_but_no_lever_arm() -> None:
     result = calibrate(*fly(1, 60.0, "translating", FAULT), systematic=NONE)
     assert result.offset.status == "significant"
     assert result.offset.value == pytest.approx([0.3], abs=2e-3)
-    assert result.turn.status == "insignificant"
+    assert result.rotation.status == "insignificant"
     assert result.lever.status == "unobservable"
 
 
@@ -105,8 +105,8 @@ def test_positions_alone_show_no_rotation() -> None:
     result = calibrate(without_rotations(truth), estimate, Gauge.YAW, systematic=NONE)
     assert result.offset.value == pytest.approx([0.3], abs=3e-3)
     assert result.lever.value == pytest.approx([0.1, 0.05, 0.2], abs=0.02)
-    assert result.turn.status == "unobservable"
-    assert "needs orientations on both sides" in result.turn.reason
+    assert result.rotation.status == "unobservable"
+    assert "needs orientations on both sides" in result.rotation.reason
     neither = calibrate(without_rotations(truth), without_rotations(estimate), systematic=NONE)
     assert neither.lever.status == "unobservable"
     assert "needs the estimate's orientations" in neither.lever.reason
@@ -133,7 +133,7 @@ def test_a_short_run_has_an_offset_but_no_body() -> None:
     truth, estimate = fly(1, 20.0, fault=dataclasses.replace(FAULT, lever_m=(0.0, 0.0, 0.0)))
     result = calibrate(truth, estimate)
     assert result.offset.status == "significant"
-    assert result.turn.status == result.lever.status == "unobservable"
+    assert result.rotation.status == result.lever.status == "unobservable"
     assert any("too short to estimate rotation" in remark.text for remark in result.remarks)
 
 

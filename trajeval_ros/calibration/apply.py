@@ -75,7 +75,7 @@ class Calibrated:
             return 0
         count = int(self.offset_applied)
         if self.request.known is None:
-            count += self.calibration.turn.seen if self.rotation_applied else 0
+            count += self.calibration.rotation.seen if self.rotation_applied else 0
             count += self.calibration.lever.seen if self.lever_applied else 0
         return count
 
@@ -140,7 +140,7 @@ def evaluate_calibrated(
         calibration=calibration,
         estimated_from=source,
         offset_applied=used.offset is not None,
-        rotation_applied=not of_marker and (used.turn or used.known) is not None,
+        rotation_applied=not of_marker and (used.rotation or used.known) is not None,
         lever_applied=(used.lever or used.known) is not None,
         hand_eye=used.hand_eye,
         of_marker=of_marker,
@@ -160,7 +160,7 @@ def _require_body_known(
     calibration: Calibration, protocol: Protocol, request: CalibrationRequest
 ) -> None:
     """Refuse an alignment by orientations if the rotation between the bodies is unknown."""
-    rotation = calibration.turn
+    rotation = calibration.rotation
     if (
         protocol.align_with == "poses"
         and request.hand_eye
@@ -178,7 +178,7 @@ class _Significant:
     """The requested parameters that have a value: offset, rotation, lever arm, or a transform."""
 
     offset: Parameter | None
-    turn: Parameter | None
+    rotation: Parameter | None
     lever: Parameter | None
     known: HandEye | None
 
@@ -195,7 +195,7 @@ class _Significant:
             return cls(None, None, None, request.known)
         return cls(
             asked(calibration.offset, request.offset),
-            asked(calibration.turn, request.hand_eye),
+            asked(calibration.rotation, request.hand_eye),
             asked(calibration.lever, request.hand_eye),
             request.known,
         )
@@ -204,17 +204,17 @@ class _Significant:
         """Return the parameters that are observable, precise and significant."""
         offset, rotation, lever = (
             parameter if parameter is not None and parameter.is_significant else None
-            for parameter in (self.offset, self.turn, self.lever)
+            for parameter in (self.offset, self.rotation, self.lever)
         )
         return _Significant(offset, rotation, lever, self.known)
 
     @property
     def hand_eye(self) -> HandEye | None:
         """The transform of these parameters; None if there is none."""
-        if self.turn is None and self.lever is None:
+        if self.rotation is None and self.lever is None:
             return self.known
         return HandEye.of(
-            None if self.turn is None else self.turn.value,
+            None if self.rotation is None else self.rotation.value,
             None if self.lever is None else self.lever.value,
         )
 

@@ -43,7 +43,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 # Largest useful half width of a 95 % interval: s, s/s, rad, m.
-WIDEST = {"offset": 0.010, "skew": 100e-6, "turn": np.radians(2.0), "lever": 0.1}
+WIDEST = {"offset": 0.010, "skew": 100e-6, "rotation": np.radians(2.0), "lever": 0.1}
 _SHORT_RUN_S = 60.0
 _SHORT_FOR_SKEW_S = 120.0
 
@@ -53,11 +53,11 @@ class SystematicErrors:
     """Standard deviations of errors that one run does not reveal; 0 for simulated data."""
 
     offset_s: float = 1.5e-3  # of the offset, s; doubled for runs shorter than a minute
-    turn_rad: float = float(np.radians(0.1))  # of the body's rotation, rad
+    rotation_rad: float = float(np.radians(0.1))  # of the body's rotation, rad
 
 
 # Least standard deviations, for inputs without noise: s, s/s, rad, m.
-_FLOORS = {"offset": 1e-5, "skew": 1e-7, "turn": 1e-5, "lever": 1e-5}
+_FLOORS = {"offset": 1e-5, "skew": 1e-7, "rotation": 1e-5, "lever": 1e-5}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Calibration:
     Attributes:
         offset: Offset to add to the estimate's timestamps at the middle of the run, s.
         skew: Relative drift of the clocks, s/s; None if not requested.
-        turn: R_X, rotation from the marker's axes to the body's, as a rotation vector, rad.
+        rotation: R_X, rotation from the marker's axes to the body's, as a rotation vector, rad.
         lever: p_B_M, position of the marker in the body, metres.
         scale: Groundtruth metres per unit of the estimate; 1 unless the gauge has a scale.
         guess: The initial offset, from correlation.
@@ -88,7 +88,7 @@ class Calibration:
 
     offset: Parameter
     skew: Parameter | None
-    turn: Parameter
+    rotation: Parameter
     lever: Parameter
     scale: float
     guess: OffsetGuess
@@ -201,11 +201,11 @@ def _judged(
                 f"{_SHORT_FOR_SKEW_S:g} s",
             )
         )
-    extra = {"offset": np.hypot(hidden_s, apart_s / 2.0), "turn": systematic.turn_rad}
+    extra = {"offset": np.hypot(hidden_s, apart_s / 2.0), "rotation": systematic.rotation_rad}
     values = {
         "offset": np.array([base / NANOSECONDS + fitted.unknowns.offset_s]),
         "skew": np.array([fitted.unknowns.skew]),
-        "turn": so3.log(fitted.unknowns.turn[None])[0],
+        "rotation": so3.log(fitted.unknowns.rotation[None])[0],
         "lever": fitted.unknowns.lever_m,
     }
 
@@ -225,13 +225,13 @@ def _judged(
             widest=WIDEST[name],
             unit=unit,
             chance=CHANCE_OF_SKEW if name == "skew" else CHANCE,
-            whole=name == "turn",
+            whole=name == "rotation",
         )
 
     rotation = unobservable(_NO_TURN)
-    if increments.has_turns:
+    if increments.has_rotations:
         rotation = supported_by_both(
-            verdict("turn", "rad"), increments, solution, systematic.turn_rad
+            verdict("rotation", "rad"), increments, solution, systematic.rotation_rad
         )
     offset = verdict("offset", "s")
     if not guess.is_usable:
@@ -250,7 +250,7 @@ def _judged(
     return Calibration(
         offset=offset,
         skew=verdict("skew", "s/s") if with_skew else None,
-        turn=rotation,
+        rotation=rotation,
         lever=verdict("lever", "m") if increments.has_lever else unobservable(_NO_LEVER),
         scale=fitted.unknowns.scale,
         guess=guess,
@@ -274,7 +274,7 @@ def _without(guess: OffsetGuess, increments: Increments, with_skew: bool) -> Cal
     return Calibration(
         offset=nothing,
         skew=nothing if with_skew else None,
-        turn=unobservable(_TOO_SHORT) if increments.has_turns else unobservable(_NO_TURN),
+        rotation=unobservable(_TOO_SHORT) if increments.has_rotations else unobservable(_NO_TURN),
         lever=unobservable(_TOO_SHORT if increments.has_lever else _NO_LEVER),
         scale=1.0,
         guess=guess,
@@ -296,9 +296,9 @@ def _by_rows(
     from scipy.special import stdtrit
 
     rows: dict[str, tuple[float, float]] = {}
-    if not increments.has_turns or not fitted.covariance[0, 0] > 0.0:
+    if not increments.has_rotations or not fitted.covariance[0, 0] > 0.0:
         return rows, 0.0
-    free = {"offset": np.eye(1), "turn": np.eye(3)}
+    free = {"offset": np.eye(1), "rotation": np.eye(3)}
     for name, kind, basis in (
         ("rotation", ROTATION, basis_of(free)),
         ("position", POSITION, basis_of({**free, "lever": np.eye(3)})),

@@ -92,7 +92,8 @@ def whole_nanoseconds(seconds: float) -> int:
 
 
 # Columns of a Jacobian.
-OFFSET, SKEW, TURN, LEVER, SCALE = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 8), slice(8, 9)
+OFFSET, SKEW, SCALE = slice(0, 1), slice(1, 2), slice(8, 9)
+BODY_ROTATION, LEVER = slice(2, 5), slice(5, 8)
 COLUMNS = 9
 # Rows of a residual.
 POSITION, ROTATION = slice(0, 3), slice(3, 6)
@@ -110,7 +111,7 @@ class Unknowns:
 
     offset_s: float  # offset to add to the estimate's timestamps, at the middle of the run, s
     skew: float  # relative drift of the clocks, s/s
-    turn: Floats  # (3, 3), R_X; or R_S for increments without orientations
+    rotation: Floats  # (3, 3), R_X; or R_S for increments without orientations
     lever_m: Floats  # (3,), the marker's origin in the body, metres
     scale: float  # c, groundtruth metres per unit of the estimate
 
@@ -119,7 +120,7 @@ class Unknowns:
         return Unknowns(
             self.offset_s + float(step[0]),
             self.skew + float(step[1]),
-            so3.exp(step[TURN]) @ self.turn,
+            so3.exp(step[BODY_ROTATION]) @ self.rotation,
             self.lever_m + step[LEVER],
             self.scale + float(step[8]),
         )
@@ -139,7 +140,7 @@ class Linearised:
 class MotionIncrements:
     """Increments of one side, in the body's axes; in the world's axes without orientations."""
 
-    turns: Floats | None  # (N, 4), xyzw, or None
+    rotations: Floats | None  # (N, 4), xyzw, or None
     steps: Floats  # (N, 3), metres
     usable: Booleans  # (N,), False across gaps
 
@@ -151,8 +152,10 @@ class Increments:
         self, groundtruth: Trajectory, estimate: Trajectory, most: int = MOST_INCREMENTS
     ) -> None:
         """Choose at most `most` pairs without a gap between them, from two states or more each."""
-        self.has_turns = groundtruth.quaternions is not None and estimate.quaternions is not None
-        self._groundtruth = PoseInterpolator.of(groundtruth, with_rotations=self.has_turns)
+        self.has_rotations = (
+            groundtruth.quaternions is not None and estimate.quaternions is not None
+        )
+        self._groundtruth = PoseInterpolator.of(groundtruth, with_rotations=self.has_rotations)
         # The lever arm rotates with the estimate, also if the marker has no orientation.
         self.has_lever = estimate.quaternions is not None
         self._estimate = poses = PoseInterpolator.of(estimate, with_rotations=True, sparse=True)
@@ -185,14 +188,15 @@ class Increments:
         start = Unknowns(offset_s, 0.0, np.eye(3), np.zeros(3), 1.0)
         if not known.any():
             return start
-        if marker.turns is None:
+        if marker.rotations is None:
             rotation = robust_rotation(marker_steps, steps, about_z=about_z)
             moved = float(np.linalg.norm(steps))
             scale = float(np.linalg.norm(marker_steps)) / moved if with_scale and moved else 1.0
-            return replace(start, turn=rotation, scale=scale)
-        assert self._body.turns is not None
+            return replace(start, rotation=rotation, scale=scale)
+        assert self._body.rotations is not None
         rotation = robust_rotation(
-            lie.rotation_vector(self._body.turns[known]), lie.rotation_vector(marker.turns[known])
+            lie.rotation_vector(self._body.rotations[known]),
+            lie.rotation_vector(marker.rotations[known]),
         )
         lever_m, scale = lever_arm(
             self.body_rotation_change[known],
@@ -200,7 +204,7 @@ class Increments:
             marker_steps @ rotation.T,
             with_scale=with_scale,
         )
-        return replace(start, turn=rotation, lever_m=lever_m, scale=scale)
+        return replace(start, rotation=rotation, lever_m=lever_m, scale=scale)
 
     def linearise(self, at: Unknowns) -> Linearised:
         """Return residuals and Jacobian of all increments inside the groundtruth."""
@@ -214,14 +218,16 @@ class Increments:
         jacobian[..., 0] = slope / (2.0 * _REACH_S)
         jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
         steps, changes = self._body.steps[rows], self.body_rotation_change[rows]
-        if marker.turns is None:
-            jacobian[:, POSITION, TURN] = so3.skew(self._carried(at, rows) @ at.turn.T)
-            jacobian[:, POSITION, LEVER] = -at.turn @ changes
-            jacobian[:, POSITION, 8] = -steps @ at.turn.T
+        if marker.rotations is None:
+            jacobian[:, POSITION, BODY_ROTATION] = so3.skew(
+                self._carried(at, rows) @ at.rotation.T
+            )
+            jacobian[:, POSITION, LEVER] = -at.rotation @ changes
+            jacobian[:, POSITION, 8] = -steps @ at.rotation.T
         else:
-            jacobian[:, POSITION, TURN] = -so3.skew(marker.steps[rows] @ at.turn.T)
-            in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
-            jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
+            jacobian[:, POSITION, BODY_ROTATION] = -so3.skew(marker.steps[rows] @ at.rotation.T)
+            in_body = at.rotation @ _matrices(marker.rotations[rows]) @ at.rotation.T
+            jacobian[:, ROTATION, BODY_ROTATION] = np.eye(3) - in_body
             jacobian[:, POSITION, LEVER] = -changes
             jacobian[:, POSITION, 8] = -steps
         return Linearised(residual, jacobian, self._since[rows], rows)
@@ -241,23 +247,25 @@ class Increments:
         first, last = stamps[self._first[rows]], stamps[self._last[rows]]
         before = self._motion(poses, first - reach, last - reach)
         after = self._motion(poses, first + reach, last + reach)
-        jacobian = np.zeros((len(rows), 6 if self.has_turns else 3, COLUMNS))
+        jacobian = np.zeros((len(rows), 6 if self.has_rotations else 3, COLUMNS))
         slope = self._marker_step(at, after) - self._marker_step(at, before)
         jacobian[:, POSITION, 0] = slope / (2.0 * reach_s)
         marker = self._marker(at.offset_s, at.skew)
-        if marker.turns is not None:
-            assert before.turns is not None
-            assert after.turns is not None
-            assert self._body.turns is not None
-            inverse = lie.conjugate(self._body.turns[rows])
-            changes = lie.rotation_vector(lie.multiply(after.turns, inverse))
-            changes -= lie.rotation_vector(lie.multiply(before.turns, inverse))
+        if marker.rotations is not None:
+            assert before.rotations is not None
+            assert after.rotations is not None
+            assert self._body.rotations is not None
+            inverse = lie.conjugate(self._body.rotations[rows])
+            changes = lie.rotation_vector(lie.multiply(after.rotations, inverse))
+            changes -= lie.rotation_vector(lie.multiply(before.rotations, inverse))
             jacobian[:, ROTATION, 0] = changes / (2.0 * reach_s)
-            jacobian[:, POSITION, TURN] = -so3.skew(self._carried(at, rows))
-            jacobian[:, ROTATION, TURN] = -self.body_rotation_change[rows]
-            marker_turned = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T - np.eye(3)
-            jacobian[:, POSITION, LEVER] = -marker_turned
-            steps = marker.steps[rows] @ at.turn.T - marker_turned @ at.lever_m
+            jacobian[:, POSITION, BODY_ROTATION] = -so3.skew(self._carried(at, rows))
+            jacobian[:, ROTATION, BODY_ROTATION] = -self.body_rotation_change[rows]
+            marker_rotation = at.rotation @ _matrices(
+                marker.rotations[rows]
+            ) @ at.rotation.T - np.eye(3)
+            jacobian[:, POSITION, LEVER] = -marker_rotation
+            steps = marker.steps[rows] @ at.rotation.T - marker_rotation @ at.lever_m
             jacobian[:, POSITION, 8] = -steps / at.scale
         else:
             jacobian[:, POSITION, 8] = -marker.steps[rows] / at.scale
@@ -280,7 +288,7 @@ class Increments:
         start, end = poses.at(first), poses.at(last)
         steps = end.positions - start.positions
         usable = start.usable & end.usable
-        if not self.has_turns:
+        if not self.has_rotations:
             return MotionIncrements(None, steps, usable)
         assert start.quaternions is not None
         assert end.quaternions is not None
@@ -291,8 +299,8 @@ class Increments:
 
     def _rotated(self) -> Floats:
         """Return dR - I, or R_j - R_i for increments without orientations, (N, 3, 3)."""
-        if self._body.turns is not None:
-            return _matrices(self._body.turns) - np.eye(3)
+        if self._body.rotations is not None:
+            return _matrices(self._body.rotations) - np.eye(3)
         quaternions = self._estimate.quaternions
         if quaternions is None:
             return np.zeros((len(self), 3, 3))
@@ -301,15 +309,17 @@ class Increments:
     def _residual(self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64]) -> Floats:
         """Return the residuals (N, 3 or 6) of the equations above."""
         carried = self._carried(at, rows)
-        if marker.turns is None:
-            return marker.steps[rows] - carried @ at.turn.T
-        assert self._body.turns is not None
-        rotation = lie.from_matrix(at.turn)
+        if marker.rotations is None:
+            return marker.steps[rows] - carried @ at.rotation.T
+        assert self._body.rotations is not None
+        rotation = lie.from_matrix(at.rotation)
         residual = np.empty((len(rows), 6))
-        residual[:, POSITION] = marker.steps[rows] @ at.turn.T - carried
-        in_body = lie.multiply(lie.multiply(rotation, marker.turns[rows]), lie.conjugate(rotation))
+        residual[:, POSITION] = marker.steps[rows] @ at.rotation.T - carried
+        in_body = lie.multiply(
+            lie.multiply(rotation, marker.rotations[rows]), lie.conjugate(rotation)
+        )
         residual[:, ROTATION] = lie.rotation_vector(
-            lie.multiply(in_body, lie.conjugate(self._body.turns[rows]))
+            lie.multiply(in_body, lie.conjugate(self._body.rotations[rows]))
         )
         return residual
 
@@ -322,10 +332,10 @@ class Increments:
 
     def _marker_step(self, at: Unknowns, body: MotionIncrements) -> Floats:
         """Return the marker's step for a motion of the body, for the offset's column."""
-        if body.turns is None:
+        if body.rotations is None:
             # The lever arm contributes little to the derivative and is omitted.
-            return at.scale * body.steps @ at.turn.T
-        changes = _matrices(body.turns) - np.eye(3)
+            return at.scale * body.steps @ at.rotation.T
+        changes = _matrices(body.rotations) - np.eye(3)
         return at.scale * body.steps + changes @ at.lever_m
 
     def _from_mid(self, rows: NDArray[np.int64]) -> Floats:

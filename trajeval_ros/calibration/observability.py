@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.increments import (
+    BODY_ROTATION,
     COLUMNS,
     LEVER,
     OFFSET,
     SCALE,
     SKEW,
-    TURN,
     Increments,
     Unknowns,
 )
@@ -50,7 +50,7 @@ class Directions:
 
 
 def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
-    """Return the directions of `offset`, `skew`, `turn` and `lever` at a solution."""
+    """Return the directions of `offset`, `skew`, `rotation` and `lever` at a solution."""
     rows = fitted.linearised.rows
     jacobian_with_swapped_sides, known = increments.jacobian_with_swapped_sides(
         fitted.unknowns, rows
@@ -62,16 +62,16 @@ def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
         jacobian_with_swapped_sides[known],
     )
     blocks = {"offset": OFFSET, "skew": SKEW}
-    if increments.has_turns:
-        blocks |= {"turn": TURN, "lever": LEVER}
+    if increments.has_rotations:
+        blocks |= {"rotation": BODY_ROTATION, "lever": LEVER}
     by_name = {
         name: _directions(
             jacobian[..., columns], jacobian_with_swapped_sides[..., columns], weights
         )
         for name, columns in blocks.items()
     }
-    if increments.has_lever and not increments.has_turns:
-        by_name["lever"] = _turning(increments.body_rotation_change[rows])
+    if increments.has_lever and not increments.has_rotations:
+        by_name["lever"] = _lever_directions(increments.body_rotation_change[rows])
     return by_name
 
 
@@ -99,7 +99,7 @@ def _directions(
     return Directions(directions, np.clip(reliability, -1.0, 1.0))
 
 
-def _turning(changes: Floats) -> Directions:
+def _lever_directions(changes: Floats) -> Directions:
     """Return the directions of a lever arm; reliability 1 if they rotate enough, else 0."""
     values, vectors = np.linalg.eigh(
         np.einsum("nab,nac->bc", changes, changes) / max(len(changes), 1)
@@ -109,7 +109,13 @@ def _turning(changes: Floats) -> Directions:
 
 
 _FEWEST_PAIRS = 30
-COLUMNS_OF = {"offset": OFFSET, "skew": SKEW, "turn": TURN, "lever": LEVER, "scale": SCALE}
+COLUMNS_OF = {
+    "offset": OFFSET,
+    "skew": SKEW,
+    "rotation": BODY_ROTATION,
+    "lever": LEVER,
+    "scale": SCALE,
+}
 _NO_SKEW = "the run is too short to estimate a clock skew, so none is estimated"
 _NO_BODY = (
     "the run is too short to estimate rotation and lever arm, so both are fixed; an actual "
@@ -133,15 +139,15 @@ def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationF
         return None
     about_z = not gauge.has_so3
     begin = increments.start(0.0, with_scale=gauge.has_scale, about_z=about_z)
-    free = {"offset": np.eye(1), "turn": np.eye(3)}
-    if about_z and not increments.has_turns:
-        free["turn"] = np.eye(3)[2:]
+    free = {"offset": np.eye(1), "rotation": np.eye(3)}
+    if about_z and not increments.has_rotations:
+        free["rotation"] = np.eye(3)[2:]
     if increments.has_lever:
         free["lever"] = np.eye(3)
     if gauge.has_scale:
         free["scale"] = np.eye(1)
     # The rotation between the worlds is no property of the body and is always fitted.
-    body = {"turn", "lever"} if increments.has_turns else {"lever"}
+    body = {"rotation", "lever"} if increments.has_rotations else {"lever"}
     held = {name: axes for name, axes in free.items() if name not in body}
     attempts = [(free, ""), (held, _NO_BODY)]
     if with_skew:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.increments import POSITION, ROTATION, TURN, Increments
+from trajeval_ros.calibration.increments import BODY_ROTATION, POSITION, ROTATION, Increments
 from trajeval_ros.calibration.observability import (
     LEAST_RELIABILITY,
     CalibrationFit,
@@ -162,31 +162,31 @@ POSITIONS_WORSE = (
 
 
 def supported_by_both(
-    turn: Parameter, increments: Increments, solution: CalibrationFit, systematic_rad: float
+    rotation: Parameter, increments: Increments, solution: CalibrationFit, systematic_rad: float
 ) -> Parameter:
     """Return the verdict on a body rotation: `insignificant` if one group of rows contradicts it.
 
-    `turn` is the verdict from all rows together; there are orientations on both sides.
+    `rotation` is the verdict from all rows together; there are orientations on both sides.
     """
-    if not turn.is_significant:
-        return turn
-    rest = {name: axes for name, axes in solution.free.items() if name != "turn"}
-    none = dataclasses.replace(solution.fit.unknowns, turn=np.eye(3))
+    if not rotation.is_significant:
+        return rotation
+    rest = {name: axes for name, axes in solution.free.items() if name != "rotation"}
+    none = dataclasses.replace(solution.fit.unknowns, rotation=np.eye(3))
     without = fit(increments, none, basis_of(rest))
     if without is None:
-        return turn
+        return rotation
     before, after = without.linearised.residual, solution.fit.linearised.residual
     by_rotation, by_position = (
         1.0 - huber_cost(after, after, kind) / huber_cost(before, after, kind)
         for kind in (ROTATION, POSITION)
     )
     if by_position <= LEAST_OF_POSITIONS:
-        return dataclasses.replace(turn, status=INSIGNIFICANT, reason=POSITIONS_WORSE)
+        return dataclasses.replace(rotation, status=INSIGNIFICANT, reason=POSITIONS_WORSE)
     if by_rotation > LEAST_OF_ROTATIONS:
-        return turn
+        return rotation
     if _by_rotations_alone(increments, solution, systematic_rad) < CHANCE:
-        return turn
-    return dataclasses.replace(turn, status=INSIGNIFICANT, reason=POSITIONS_ALONE)
+        return rotation
+    return dataclasses.replace(rotation, status=INSIGNIFICANT, reason=POSITIONS_ALONE)
 
 
 def _by_rotations_alone(
@@ -196,13 +196,13 @@ def _by_rotations_alone(
 
     Only observable directions are tested; noise along the others looks like a rotation.
     """
-    basis = basis_of({"turn": np.eye(3)})
+    basis = basis_of({"rotation": np.eye(3)})
     alone = fit(increments, solution.fit.unknowns, basis, (ROTATION,))
     if alone is None:
         return 1.0
-    value = so3.log(alone.unknowns.turn[None])[0]
-    covariance = alone.covariance[TURN, TURN] + systematic_rad**2 * np.eye(3)
-    shown = observability(increments, alone)["turn"]
+    value = so3.log(alone.unknowns.rotation[None])[0]
+    covariance = alone.covariance[BODY_ROTATION, BODY_ROTATION] + systematic_rad**2 * np.eye(3)
+    shown = observability(increments, alone)["rotation"]
     axes = shown.directions[shown.seen]
     if not len(axes):
         return 1.0

@@ -33,7 +33,7 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
         text += f" ({', '.join(rows)})" if rows and offset.value is not None else ""
         lines.append(_line("clock offset", text, offset, calibrated.offset_applied))
     if calibration is not None and request.hand_eye:
-        rotation, lever = calibration.turn, calibration.lever
+        rotation, lever = calibration.rotation, calibration.lever
         text = "unknown"
         if rotation.value is not None and rotation.half_width_95 is not None:
             width = float(np.degrees(rotation.half_width_95.max()))

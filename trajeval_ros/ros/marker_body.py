@@ -106,7 +106,7 @@ class MarkerBody:
             self._found = self.transform.take() or self._found
             self.why_not = self.transform.trouble
         elif self.source == AUTO and calibration is not None:
-            rotation, lever = calibration.turn, calibration.lever
+            rotation, lever = calibration.rotation, calibration.lever
             known = [item.value if item.is_significant else None for item in (rotation, lever)]
             is_found = any(item is not None for item in known)
             self._found = HandEye.of(*known) if is_found else None

@@ -33,7 +33,7 @@ def calibrated(**changes: Any) -> Any:
     calibration = FAKE(
         guess=OffsetGuess(0.1, 0.2, 0.3, 0.4, "speed", 0.5),
         offset=parameter(1.0),
-        turn=parameter(2.0),
+        rotation=parameter(2.0),
         lever=parameter(3.0),
         rows={"rotation": (0.6, 0.7)},
         fitted=7,
@@ -63,7 +63,7 @@ def test_what_is_unknown_of_a_calibration_is_null() -> None:
     nan = parameter(3.0)
     nan.sigma[1] = np.nan  # type: ignore[index]
     lacking = calibrated(of_marker=False)
-    lacking.calibration.offset = lacking.calibration.turn = unknown
+    lacking.calibration.offset = lacking.calibration.rotation = unknown
     lacking.calibration.lever = nan
     result = calibration_json(lacking)
     assert result["errors_of"] == "body"

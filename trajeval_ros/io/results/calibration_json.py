@@ -87,7 +87,7 @@ def _hand_eye(calibrated: Calibrated) -> dict[str, Any]:
         return {"source": calibrated.request.source, "rotation": None, "lever_arm": None}
     calibration = calibrated.calibration
     assert calibration is not None
-    rotation, lever = calibration.turn, calibration.lever
+    rotation, lever = calibration.rotation, calibration.lever
     return {
         "source": "auto",
         "rotation": {
