@@ -257,15 +257,15 @@ class JointFit:
         border = np.moveaxis(np.zeros((PARAMETERS + 1, count, STATES)), 0, 2)
         corner = np.zeros((PARAMETERS, PARAMETERS + 1))
         for knots, before, after, columns in self._rows():
-            own = slice(int(knots[0]), int(knots[-1]) + 2)
-            diagonal, lower = np.zeros((own.stop - own.start, STATES, STATES)), None
-            diagonal[knots - own.start] = transposed(before) @ before
+            touched = slice(int(knots[0]), int(knots[-1]) + 2)
+            diagonal, lower = np.zeros((touched.stop - touched.start, STATES, STATES)), None
+            diagonal[knots - touched.start] = transposed(before) @ before
             border[knots] += transposed(before) @ columns
             if after is not None:
                 diagonal[1:] += transposed(after) @ after
                 border[knots + 1] += transposed(after) @ columns
                 lower = transposed(after) @ before
-            add_blocks(band[own], diagonal, lower)
+            add_blocks(band[touched], diagonal, lower)
             corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
         prior = np.eye(3) / LEVER_M**2
         prior += _FIXED * sum(

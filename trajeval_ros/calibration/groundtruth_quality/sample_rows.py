@@ -82,8 +82,8 @@ class Predicted(NamedTuple):
 
 def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: Rig) -> Predicted:
     """Return all samples between the first and the last knot, compared with the rig."""
-    own = samples.seconds
-    seconds = own + rig.offset_s + rig.skew * (own - samples.middle_s)
+    groundtruth_s = samples.seconds
+    seconds = groundtruth_s + rig.offset_s + rig.skew * (groundtruth_s - samples.middle_s)
     inside = np.flatnonzero((seconds >= steps.knots[0]) & (seconds < steps.knots[-1]))
 
     def at(rows: Indices) -> Predicted:
@@ -176,16 +176,16 @@ def averaged(result: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
 
     def rows(starts: Indices, ends: Indices) -> tuple[Floats | Indices, ...]:
         part = slice(starts[0], ends[-1])
-        own = Predicted._make(item[part] for item in result)
+        predicted = Predicted._make(item[part] for item in result)
         starts = starts - starts[0]
-        knots, tau = own.knots[starts], own.since_s
+        knots, tau = predicted.knots[starts], predicted.since_s
         start = rig.rotations[knots]
         by_state, by_rig = np.zeros((len(knots), 6, 15)), np.zeros((len(knots), 6, 11))
         error, tau1, tau2, arm, rotation, tau_turn, speed = (
             _means(item, of_position[part], starts)
             for item in (
-                own.position_errors, tau, tau**2, own.arms, own.rotated,
-                tau[..., None] * own.rotated, own.marker_velocities,
+                predicted.position_errors, tau, tau**2, predicted.arms, predicted.rotated,
+                tau[..., None] * predicted.rotated, predicted.marker_velocities,
             )
         )  # fmt: skip
         by_state[:, :3, 0:3] = -start @ so3.skew(arm)
@@ -198,7 +198,7 @@ def averaged(result: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
         by_rig[:, :3, GRAVITY] = 0.5 * tau2[..., None] * tangents(rig.gravity)
         error, tau1, rotation, rate = (
             _means(item, of_rotation[part], starts)
-            for item in (own.rotation_errors, tau, own.rotated, own.rates)
+            for item in (predicted.rotation_errors, tau, predicted.rotated, predicted.rates)
         )
         back = so3.inverse_left_jacobian(-error)
         into = back @ rig.body.T
@@ -206,7 +206,7 @@ def averaged(result: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
         by_state[:, 3:, 9:12] = -into * tau1[..., None]
         by_rig[:, 3:, BODY] = back
         by_rig[:, 3:, OFFSET], by_rig[:, 3:, -1] = times(into, rate), error
-        since_s = samples.seconds[own.rows[starts]] - samples.middle_s
+        since_s = samples.seconds[predicted.rows[starts]] - samples.middle_s
         by_rig[:, :, SKEW] = by_rig[:, :, OFFSET] * since_s[:, None]
         weights = np.stack([of_position[part], of_rotation[part] * samples.has_rotations], axis=1)
         shares = np.minimum(np.add.reduceat(weights, starts) / usual, 1.0)
