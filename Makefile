@@ -63,7 +63,8 @@ test test-slow test-jazzy: export OPENBLAS_NUM_THREADS := 1
 # the others have left.
 PYTEST_ALL_CORES := python -m pytest -n auto --dist worksteal
 FAST := -m "not slow and not ros and not oracles"
-# Tests over DDS wait for one another's messages. What runs beside them yields: NICE="nice -n 19".
+# Tests over DDS mostly wait, so two run at a time, in domains of their own; those of a file share
+# nodes. What runs beside them yields: NICE="nice -n 19".
 NICE ?=
 
 test: $(VENV)/.installed ## Run the tests that take minutes; browsers, viewers, clusters and ROS are left out.
@@ -97,7 +98,7 @@ test-kernels: $(VENV)/.installed ## Run the fast numeric tests with the arithmet
 	$(NICE) $(VENV)/bin/python tests/support/kernels.py $(KERNELS)
 
 test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.
-	$(ALONE) $(ROS)/bin/python -m pytest -m ros
+	$(ALONE) $(ROS)/bin/python -m pytest -n 2 --dist loadfile -m ros
 
 oracles: $(ORACLES)/.installed ## Compare the estimator with Ceres and GTSAM, in an environment of their own.
 	OPENBLAS_NUM_THREADS=1 $(NICE) $(ORACLES)/bin/python -m pytest -m oracles tests/visual_inertial/test_solver_oracles.py

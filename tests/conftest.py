@@ -85,11 +85,13 @@ def kept_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What keeps the traffic on this machine, and apart from that of others on it."""
+    """What keeps the traffic on this machine, and apart from others and from other workers."""
+    domain = int(os.environ.get("ROS_DOMAIN_ID", 60 + os.getpid() % 40))
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
     return {
         **os.environ,
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", str(60 + os.getpid() % 40)),
+        "ROS_DOMAIN_ID": str(domain + int(worker)),
         "ROS_HOME": str(tmp_path_factory.mktemp("ros_home")),
         "PYTHONPATH": str(HERE.parent),
     }
