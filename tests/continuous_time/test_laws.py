@@ -23,7 +23,7 @@ from trajeval_ros.continuous_time.continuous_trajectory import (
     MarkovPoses,
     fit_trajectory,
 )
-from trajeval_ros.continuous_time.joint_groundtruth import _SAME_SHARE, JointPosterior
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import (
     MATERN_32,
     MATERN_52,
@@ -389,9 +389,9 @@ def test_joint_posterior_at_queries_close_to_samples_and_to_each_other(order: in
         + np.linalg.slogdet(2.0 * np.pi * (dense + tolerance))[1]
     )
     result = joint.observed(np.tile(1e-4 * np.eye(3), (12, 1, 1))).log_density(errors)
-    # The information between the closest knots is 1 / _SAME_SHARE of that of a step, and rounding
-    # errors of both sides grow by it: 2.2e-7 for an operation, a few of them here.
-    assert result == pytest.approx(expected, rel=10 * np.finfo(float).eps / _SAME_SHARE)
+    # The closest knots have a billionth of the variance of a step, and rounding errors of both
+    # sides grow by its inverse: 2.2e-7 for an operation, a few of them here.
+    assert result == pytest.approx(expected, rel=10 * np.finfo(float).eps / 1e-9)
 
 
 def test_positions_alone_are_enough() -> None:

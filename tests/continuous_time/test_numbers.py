@@ -26,7 +26,7 @@ from trajeval_ros.continuous_time.kernels import (
     negative_log_likelihood,
 )
 from trajeval_ros.continuous_time.manifolds import Manifold, Positions, Rotations
-from trajeval_ros.continuous_time.markov import Process, _differences
+from trajeval_ros.continuous_time.markov import Process
 from trajeval_ros.geometry import so3
 
 Array = NDArray[np.float64]
@@ -263,20 +263,6 @@ def test_a_carried_state_is_a_derivative(manifold: Manifold, order: int, since_s
         change = manifold.between(at(-step), at(step))[0] / 2e-5
         # To second order in the step along its own path, symmetric differences are exact.
         np.testing.assert_allclose(result[:, column], change, atol=1e-7)
-
-
-def test_differences_of_a_parabola_are_its_velocity() -> None:
-    times = np.array([0.0, 0.5, 0.7, 1.6, 2.0, 2.1])
-    bend = np.array([1.0, -2.0, 0.5])
-    positions = times[:, None] * 3.0 + 0.5 * bend * times[:, None] ** 2
-    velocity, acceleration = _differences(Positions(), times, positions)
-    expected = 3.0 + bend * times[:, None]
-    np.testing.assert_allclose(velocity[1:-1], expected[1:-1], rtol=1e-12)
-    np.testing.assert_allclose(acceleration[2:-2], np.tile(bend, (2, 1)), rtol=1e-12)
-    # At the ends, velocities are those of the step.
-    for row, step in ((0, 0), (-1, -1)):
-        difference = np.diff(positions, axis=0)[step] / np.diff(times)[step]
-        np.testing.assert_allclose(velocity[row], difference, rtol=1e-12)
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from dense_joint import dense_covariance
-from se3_manifold import Poses
 from solved_process import solved
 
 from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
@@ -20,8 +18,7 @@ from trajeval_ros.continuous_time.kernels import (
 )
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.piecewise_gp import GPSegments, PiecewiseGP
-from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
-from trajeval_ros.geometry import se3
+from trajeval_ros.continuous_time.samples import Noise, Samples
 
 KERNELS = {"se": SQUARED_EXPONENTIAL, "m52": MATERN_52}
 CLOSE: Any = {"rtol": 1e-11, "atol": 1e-11}
@@ -30,18 +27,6 @@ CLOSE: Any = {"rtol": 1e-11, "atol": 1e-11}
 @pytest.fixture(scope="module")
 def numbers(reference: Any) -> Any:
     return reference("continuous-time")
-
-
-def test_lie_groups(numbers: Any) -> None:
-    lie = {name: np.array(value) for name, value in numbers["lie"].items()}
-    exact: Any = {"rtol": 1e-12, "atol": 1e-12}
-    np.testing.assert_allclose(se3.exp(lie["xi"]), lie["Exp"], **exact)
-    np.testing.assert_allclose(se3.log(lie["Exp"]), lie["xi"], **exact)
-    np.testing.assert_allclose(se3.adjoint(lie["Exp"]), lie["Ad"], **exact)
-    np.testing.assert_allclose(se3.left_jacobian(lie["xi"]), lie["Jl"], **exact)
-    np.testing.assert_allclose(se3.inverse_left_jacobian(lie["xi"]), lie["Jl_inv"], **exact)
-    determinants = 2.0 * se3.log_determinant(lie["xi"][:, 3:])
-    np.testing.assert_allclose(determinants, lie["logabsdet_Jl"], **exact)
 
 
 def piecewise_process(given: Any, case: Any) -> PiecewiseGP:
@@ -83,31 +68,7 @@ def test_piecewise_gp_of_eq_30_to_32(numbers: Any, place: int) -> None:
         np.testing.assert_allclose(-gradient, case[f"dlogml_{name}_dlog"], rtol=1e-9)
 
 
-def averaged_precisions(process: PiecewiseGP, times: np.ndarray) -> Belief:
-    """Blend by generalised products of experts, which are too sure where experts disagree."""
-    first, second, weight = process.segments.around(times)
-    one, other = process.in_segment(first, times), process.in_segment(second, times)
-    apart = se3.log(se3.inverse(one.poses) @ other.poses)
-    carried = se3.congruent(se3.inverse_left_jacobian(-apart), other.covariances)
-    share = weight[:, None, None]
-    theirs = np.linalg.inv(carried)
-    covariances = np.linalg.inv((1.0 - share) * np.linalg.inv(one.covariances) + share * theirs)
-    mean = weight[:, None] * se3.times(covariances @ theirs, apart)
-    moved = se3.congruent(se3.left_jacobian(-mean), covariances)
-    return Belief(one.poses @ se3.exp(mean), moved)
-
-
-@pytest.mark.parametrize("place", range(4))
-def test_experts_and_their_weights_by_another_blending(numbers: Any, place: int) -> None:
-    given = numbers["piecewise_gp"]
-    case = given["cases"][place]
-    process = piecewise_process(given, case)
-    result = averaged_precisions(process, np.array(given["tq"]))
-    np.testing.assert_allclose(result.poses, case["gpoe"]["mean"], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(result.covariances, case["gpoe"]["cov"], rtol=1e-8, atol=1e-11)
-
-
-@pytest.mark.parametrize("group", ["r3", "so3", "se3"])
+@pytest.mark.parametrize("group", ["r3", "so3"])
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_markov_processes(numbers: Any, group: str, order: int) -> None:
     given = numbers["state_space_gp"]
@@ -118,16 +79,8 @@ def test_markov_processes(numbers: Any, group: str, order: int) -> None:
     manifold, measured = {
         "r3": (Positions(), poses[:, :3, 3]),
         "so3": (Rotations(), poses[:, :3, :3]),
-        "se3": (Poses(), poses),
     }[group]
     process = solved(manifold, order, times, measured, 0.01, 0.5)
-    if group == "se3":
-        # Its translations and rotations have noises of their own.
-        process = replace(
-            process,
-            information=np.tile(1.0 / np.array(case["R_diag"]), (len(times), 1)),
-            density=np.array(case["Qc_diag"]),
-        ).solved()
     np.testing.assert_allclose(process.states, case["X"], atol=1e-9)
     assert process.log_likelihood() == pytest.approx(case["logml"], abs=1e-10)
 
