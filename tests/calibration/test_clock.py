@@ -6,23 +6,18 @@ import dataclasses
 
 import numpy as np
 import pytest
-from calibration_flights import stamps_of
 from exact_flights import FAULT, flown
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from strategies import seeds
 
-from trajeval_ros.calibration import clock_offset
 from trajeval_ros.calibration.clock_offset import (
-    _rate,
     guess_offset,
     guess_offset_by,
     masked_correlation,
 )
-from trajeval_ros.calibration.increments import PoseInterpolator, whole_nanoseconds
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.calibration.increments import whole_nanoseconds
 
 Array = NDArray[np.float64]
 
@@ -69,41 +64,3 @@ def test_offsets_of_flights_are_found_by_both_rates() -> None:
     assert around.offset_s == pytest.approx(7.0 + FAULT.offset_s, abs=0.01)
     anywhere = guess_offset(later, estimate, search_s=None)
     assert anywhere.offset_s == pytest.approx(7.0 + FAULT.offset_s, abs=0.01)
-
-
-def test_rates_are_central_differences_of_known_motion() -> None:
-    seconds = np.arange(0.0, 4.0001, 0.01)
-    positions = np.column_stack([seconds**2, 0.0 * seconds, 0.0 * seconds])
-    rotations = Rotation.from_rotvec(np.outer(0.5 * seconds**2, [0.0, 0.6, 0.8])).as_quat()
-    path = Trajectory(stamps_of(seconds), positions, rotations)
-    for oriented, factor in ((False, 2.0), (True, 1.0)):
-        poses = PoseInterpolator.of(path, with_rotations=oriented)
-        rate, known = _rate(poses, 0.1)
-        assert len(rate) == len(known) == 200  # a grid of 20 ms, without the last stamp
-        # Half a window after the first stamp and before the last one.
-        assert np.flatnonzero(known)[[0, -1]].tolist() == [3, 197]
-        inside = known > 0.0
-        expected = factor * 0.02 * np.flatnonzero(inside)
-        np.testing.assert_allclose(rate[inside], expected - expected.mean(), atol=1e-4)
-        assert not rate[~inside].any()
-    # A gap of more than half a second is not known.
-    kept = (seconds < 1.5) | (seconds > 2.2)
-    _, known = _rate(PoseInterpolator.of(path[kept], with_rotations=False), 0.1)
-    assert not known[np.arange(75, 110)].any()
-    assert known[np.r_[3:72, 114:197]].all()
-
-
-@pytest.mark.parametrize(("every", "window_s"), [(1, 0.1), (2, 0.1), (3, 0.15), (10, 0.5)])
-def test_both_sides_have_the_window_of_the_slower_estimate(
-    monkeypatch: pytest.MonkeyPatch, every: int, window_s: float
-) -> None:
-    windows = []
-
-    def seen(poses: PoseInterpolator, window_s: float) -> tuple[Array, Array]:
-        windows.append(window_s)
-        return _rate(poses, window_s)
-
-    monkeypatch.setattr(clock_offset, "_rate", seen)
-    truth, estimate, _ = flown()
-    guess_offset_by(truth, estimate[::every], 0.0, 5.0, "speed")
-    assert windows == [pytest.approx(window_s)] * 2

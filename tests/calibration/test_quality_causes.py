@@ -10,9 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
-from trajeval_ros.calibration.groundtruth_quality.examine import (
-    _notes,
-)  # fmt: skip
 from trajeval_ros.calibration.groundtruth_quality.quality_causes import (
     GroundtruthCause,
     discontinuity_causes,
@@ -213,13 +210,6 @@ def test_a_standard_deviation_is_along_the_value() -> None:
     values[:3], sigmas[:3] = [3.0, 4.0, 0.0], [0.1, 0.2, 9.0]
     cause = parameter_cause("body_rotation", values, sigmas, np.ones(10, dtype=bool), "")
     assert cause.standard_deviation == pytest.approx(np.hypot(0.3, 0.8) / 5.0)
-
-
-def test_notes_have_their_limits() -> None:
-    assert _notes(checks(rate_hz=50.1, position_noise_m=2.01e-5)) == []
-    assert len(_notes(checks(rate_hz=49.9, position_noise_m=2.01e-5))) == 1
-    [note] = _notes(checks(position_noise_m=1.9e-5))
-    assert "noise 19 um" in note
 
 
 def event(kind: str, at_s: float, **changed: float) -> Event:

@@ -8,22 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from examined_rigs import START_NS, rig
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from small_rigs import Small, small_rig
 
 from trajeval_ros.calibration.groundtruth_quality import start
-from trajeval_ros.calibration.groundtruth_quality.examine import IMU_NOISE, _fitted
+from trajeval_ros.calibration.groundtruth_quality.examine import IMU_NOISE
+from trajeval_ros.calibration.groundtruth_quality.inertial_steps import InertialSteps
 from trajeval_ros.calibration.groundtruth_quality.joint_fit import Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_quality.repair import repaired
-from trajeval_ros.calibration.groundtruth_quality.rig import LEVER
+from trajeval_ros.calibration.groundtruth_quality.rig import LEVER, OFFSET
 from trajeval_ros.calibration.groundtruth_quality.sample_checks import PoseSpan
-from trajeval_ros.calibration.groundtruth_quality.sample_rows import (
-    SampleRows,
-    _means,
-    rig_at,
-)
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.calibration.groundtruth_quality.sample_rows import SampleRows, rig_at
 from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -31,10 +26,6 @@ from trajeval_ros.geometry.trajectory import Trajectory
 @pytest.fixture(scope="module")
 def small() -> Small:
     return small_rig()
-
-
-def weighted_residuals(fit: JointFit) -> NDArray[np.float64]:
-    return fit.rows.residuals * np.sqrt(fit.rows.shares) / fit.sigmas
 
 
 def test_the_sandwich_is_that_of_reduced_scores(small: Small) -> None:
@@ -75,51 +66,6 @@ def test_rows_are_over_their_standard_deviations(small: Small) -> None:
     np.testing.assert_allclose(rows.shares, np.repeat(expected[:, None], 6, axis=1))
 
 
-def test_noise_is_scaled_to_the_residuals(small: Small) -> None:
-    fit = small.fit()
-    squares = np.square(weighted_residuals(fit))
-    before = fit.sigmas.copy()
-    redundancy = np.array([squares[:, :3].sum() / 4.0, squares[:, 3:].sum() * 4.0])
-    redundancy = np.maximum(redundancy, 1.0)
-    ratios = [squares[:, :3].sum() / redundancy[0], squares[:, 3:].sum() / redundancy[1]]
-    change = fit._estimate_noise(redundancy)
-    expected = np.sqrt(np.clip(ratios, 0.09, 9.0))
-    np.testing.assert_allclose(fit.sigmas / before, np.repeat(expected, 3))
-    assert change == pytest.approx(np.abs(np.log(expected)).max())
-    # A step is at most a factor of three.
-    fit.sigmas = before * 1e-4
-    fit._estimate_noise(np.ones(2))
-    np.testing.assert_allclose(fit.sigmas, np.maximum(3e-4 * before, [2e-5] * 3 + [1.7e-5] * 3))
-    fit.sigmas = np.full(6, 1e3)
-    fit._estimate_noise(np.ones(2))
-    np.testing.assert_array_equal(fit.sigmas, [10.0] * 3 + [1.0] * 3)
-    # Over windows of rotations, the noise of positions is given.
-    window = small.fit(window_s=0.2)
-    before = window.sigmas.copy()
-    window._estimate_noise(np.ones(2))
-    np.testing.assert_array_equal(window.sigmas[:3], before[:3])
-    assert (window.sigmas[3:] != before[3:]).all()
-
-
-def test_redundancies_are_what_the_fit_leaves(small: Small) -> None:
-    fit = small.fit()
-    blocks, expected = fit._factor.inverse_blocks()[0], np.zeros(2)
-    [(knots, by_state, _)] = fit.rows.weighted(fit.sigmas)
-    for knot, jacobian, share in zip(knots, by_state, fit.rows.shares, strict=True):
-        used = np.diag(jacobian @ blocks[knot] @ jacobian.T)
-        free = np.clip(share - used, 0.0, 1.0)
-        expected += [free[:3].sum(), free[3:].sum()]
-    np.testing.assert_allclose(fit._redundancy(), expected, rtol=1e-9)
-
-
-def test_positions_alone_are_not_trusted_more_than_their_first_noise(small: Small) -> None:
-    samples = dataclasses.replace(small.samples, has_rotations=False)
-    fit = dataclasses.replace(small, samples=samples).fit()
-    assert not fit.rows.shares[:, 3:].any()
-    fit._estimate_noise(np.full(2, 1e9))
-    np.testing.assert_array_equal(fit.sigmas, np.repeat([0.01, 0.02], 3))
-
-
 def test_positions_of_a_car_are_not_trusted_more_than_its_imu_over_a_knot() -> None:
     """Otherwise its clock is wrong by 10 ms, since its turns hardly determine it."""
     result = []
@@ -133,21 +79,6 @@ def test_positions_of_a_car_are_not_trusted_more_than_its_imu_over_a_knot() -> N
     drift_m = 2e-2 * np.sqrt(0.1**3 / 3.0)
     np.testing.assert_allclose(result[0], np.repeat([3e-5, 6e-3], 3))
     np.testing.assert_allclose(result[1], np.repeat([drift_m, 6e-3], 3))
-
-
-def test_fixed_parameters_do_not_move(small: Small) -> None:
-    fit = small.fit()
-    whole = np.linalg.inv(fit.covariance_of_model)
-    fit.free = np.ones(10, dtype=bool)
-    fit.free[LEVER] = False
-    fit._factorise()
-    step = fit._step_inverse @ fit._gradient
-    assert not step[LEVER].any()
-    assert not fit.covariance_of_model[LEVER].any()
-    # The others have the covariance of a problem without the lever arm.
-    expected = np.linalg.inv(whole[np.ix_(fit.free, fit.free)])
-    result = fit.covariance_of_model[np.ix_(fit.free, fit.free)]
-    np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
 
 def test_broken_intervals_have_less_weight_from_the_fifth_iteration_on(small: Small) -> None:
@@ -177,21 +108,23 @@ def test_a_solved_fit_is_a_minimum_with_the_noise_of_its_residuals() -> None:
     assert readings.accelerations is not None
     case, horizon = start.prepared(truth, readings, 0.0), Horizon(0.05, IMU_NOISE, (1e-3, 3e-3))
     assert case.free.all()
-    fit = _fitted(case, horizon)
-    assert 7 <= fit._iteration <= 14
-    step = fit._step_inverse @ fit._gradient
-    assert (np.abs(step) < 0.05 * np.sqrt(np.diag(fit.covariance_of_model))).all()
-    squares = np.square(weighted_residuals(fit)).reshape(-1, 2, 3).sum(axis=(0, 2))
-    np.testing.assert_allclose(squares / fit._redundancy(), 1.0, atol=0.05)
+    knots = start.knots_of(case.samples, case.imu, horizon.knot_s)
+    steps, first = InertialSteps(knots, case.imu), start.first_rig(case.samples, case.imu, knots)
+    fit = JointFit(case.samples, steps, first, horizon, case.free)
+    fit.solve(20)
     # Five samples of a knot are averaged.
     noise = np.repeat([5e-4, 2e-3], 3) / np.sqrt(5.0)
     np.testing.assert_allclose(fit.sigmas, noise, rtol=0.2)
     # The samples' clock is early, and their marker is off the IMU.
     values, sigmas = fit.rig.values(), np.sqrt(np.diag(fit.covariance_of_model))
+    fit.solve(1, estimate_noise=False)
+    assert (np.abs(fit.rig.values() - values) < 0.05 * sigmas).all()
     assert abs(values[6] - 0.004) < 5.0 * sigmas[6]
     assert (np.abs(values[LEVER] - [0.05, -0.03, 0.02]) < 5.0 * sigmas[LEVER]).all()
-    with pytest.raises(InputError, match=r"overlap for 19.\d s, and the examination needs 20 s"):
-        _fitted(start.prepared(truth, readings, 2.0), horizon)
+    before = fit.rig.values()[OFFSET]
+    fit.solve_again(fit.rig, case.free & (np.arange(10) != OFFSET))
+    assert fit.rig.values()[OFFSET] == before
+    assert not fit.covariance_of_model[OFFSET].any()
 
 
 def test_unobservable_directions_of_the_lever_arm_are_fixed(small: Small) -> None:
@@ -243,15 +176,6 @@ def test_rotations_are_averaged_over_windows() -> None:
         assert not rows.by_state[middle, 3:, 3:].any()
         np.testing.assert_array_equal(rows.shares[middle, 3:], 1.0)
     assert not rows.by_state[[0, 1, 3, 4, 5, 7, 8, 9, 10], 3:].any()
-
-
-def test_weighted_means_of_intervals() -> None:
-    columns = np.arange(10.0).reshape(5, 2)
-    weights = np.array([1.0, 3.0, 2.0, 0.0, 0.0])
-    result = _means(columns, weights, np.array([0, 2, 3]))
-    np.testing.assert_allclose(result, [[1.5, 2.5], [4.0, 5.0], [0.0, 0.0]])
-    result = _means(columns[..., None], weights, np.array([0, 2, 3]))
-    np.testing.assert_allclose(result[..., 0], [[1.5, 2.5], [4.0, 5.0], [0.0, 0.0]])
 
 
 def test_repaired_states_are_those_of_the_imu(small: Small) -> None:

@@ -105,16 +105,6 @@ def test_the_first_rig_is_near_the_true_one() -> None:
     assert not same.biases.any()
 
 
-def test_swings_are_third_differences_over_half_a_second() -> None:
-    seconds = np.arange(0.0, 6.0, 0.05)
-    bend = np.array([1.0, -2.0, 0.5])
-    times, swings = start._swings(seconds, seconds[:, None] ** 3 * bend + 7.0)
-    # Third differences of t^3 are 6 h^3, with h = 0.5 s; the ends are left out.
-    np.testing.assert_allclose(swings, np.tile(6.0 * 0.125 * bend, (len(times), 1)), atol=1e-9)
-    assert times[0] == pytest.approx(0.8, abs=0.051)
-    assert times[-1] == pytest.approx(seconds[-1] - 0.8, abs=0.051)
-
-
 @pytest.mark.parametrize("turn_deg", [0.0, 100.0])
 def test_the_first_rig_of_a_car_is_turned_by_its_accelerations(turn_deg: float) -> None:
     """Turns about the vertical alone do not determine the body's rotation about it."""

@@ -12,7 +12,6 @@ from calibration_flights import EPOCH, Fault, marked, stamps_of
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, stdtrit
 
-from trajeval_ros.calibration import robust_fit
 from trajeval_ros.calibration.clock_offset import guess_offset, masked_correlation, refined_peak
 from trajeval_ros.calibration.hand_eye import closest_rotation, lever_arm
 from trajeval_ros.calibration.increments import (
@@ -218,15 +217,6 @@ def test_a_standard_deviation_takes_three_blocks_more_than_parameters() -> None:
     assert fitted.blocks == 4
     assert fit(*flown_for(12.7), basis) is None
     assert fit(*flown_for(0.5), basis) is None  # no increment at all
-
-
-def test_a_step_of_the_clock_is_at_most_a_tenth_of_a_second(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(robust_fit, "_ITERATIONS", 1)
-    fitted = fit(*flown_for(60.0, away_s=0.3), np.eye(COLUMNS)[:, OFFSET])
-    assert fitted is not None
-    assert fitted.unknowns.offset_s == pytest.approx(0.2)
 
 
 def test_without_turns_of_the_estimate_a_lever_arm_changes_nothing() -> None:
