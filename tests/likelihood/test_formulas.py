@@ -10,7 +10,7 @@ from strategies import as_matrix, make_element, random_poses
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.likelihood import marginal, residuals
+from trajeval_ros.likelihood import marginal
 from trajeval_ros.likelihood.alignment_chart import Chart, act
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.observable_directions import (
@@ -65,28 +65,13 @@ def test_twists_are_derivatives_of_moved_poses(gauge: Gauge) -> None:
 
 @pytest.mark.parametrize("gauge", CHARTED)
 @pytest.mark.parametrize("oriented", [True, False])
-def test_first_alignments_of_exact_estimates_are_exact(gauge: Gauge, oriented: bool) -> None:
+def test_alignments_of_exact_estimates_are_exact(gauge: Gauge, oriented: bool) -> None:
     belief, element = belief_of(4), as_matrix(make_element(gauge, 5))
     estimate = act(np.linalg.inv(element), belief.poses)
     one = Residuals(belief, estimate, gauge, oriented=oriented)
-    np.testing.assert_allclose(residuals._first_alignment(one), element, atol=1e-8)
     np.testing.assert_allclose(one.at(element), 0.0, atol=1e-9)
     mode = find_mode(one)
     np.testing.assert_allclose(mode.element, element, atol=1e-8)
-
-
-def test_first_alignments_are_weighted_by_variances() -> None:
-    belief = belief_of(4)
-    covariances = np.tile(1e-4 * np.eye(6), (8, 1, 1))
-    covariances[:3] *= 1e8
-    poses = belief.poses.copy()
-    poses[:3] = random_poses(9, 3)
-    one = Residuals(Belief(poses, covariances), belief.poses, Gauge.SE3)
-    np.testing.assert_allclose(residuals._first_alignment(one), np.eye(4), atol=1e-4)
-    shifted = belief.poses.copy()
-    shifted[:3, :3, 3] += 7.0
-    two = Residuals(Belief(shifted, covariances), belief.poses, Gauge.TRANSLATION)
-    np.testing.assert_allclose(residuals._first_alignment(two), np.eye(4), atol=1e-5)
 
 
 @pytest.mark.parametrize("gauge", CHARTED[1:])

@@ -51,16 +51,6 @@ def test_relative_error_of_eq_10_to_17(numbers: Any) -> None:
     assert result.log_likelihood == pytest.approx(case["log_P_RE_mp"], rel=1e-11)
 
 
-def test_first_order_absolute_error_of_eq_28(numbers: Any) -> None:
-    belief, estimate, case = metric_case(numbers, "se3")
-    result = first_order.first_order_absolute_error(belief, estimate)
-    assert result.log_likelihood == pytest.approx(case["log_S_AE_mp"], rel=1e-12)
-    np.testing.assert_allclose(result.mean, case["S_AE_gauge_mean_centroid_frame"], rtol=1e-9)
-    np.testing.assert_allclose(
-        result.information, case["S_AE_gauge_information_centroid_frame"], rtol=1e-11, atol=1e-8
-    )
-
-
 @pytest.mark.parametrize("density", ["log", "haar"])
 @pytest.mark.parametrize("name", GAUGES)
 def test_absolute_error_of_eq_19(numbers: Any, name: str, density: str) -> None:
