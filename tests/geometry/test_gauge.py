@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from scipy.spatial.transform import Rotation
-from strategies import gauges, make_element, make_groundtruth, seeds
+from strategies import make_element, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge, Similarity, gauge_for
@@ -35,29 +35,6 @@ def test_unknown_names_are_refused_with_those_that_are(
 ) -> None:
     with pytest.raises(SettingsError, match=r"yaw|stereo-inertial"):
         gauge_for(gauge, modality, Gauge.SE3)
-
-
-def compose(a: Similarity, b: Similarity) -> Similarity:
-    return Similarity(
-        a.rotation @ b.rotation, a.positions(b.translation[None])[0], a.scale * b.scale
-    )
-
-
-@given(gauge=gauges, a=seeds, b=seeds)
-def test_transforming_is_a_group_action(gauge: Gauge, a: int, b: int) -> None:
-    first, second = make_element(gauge, a), make_element(gauge, b)
-    trajectory = make_groundtruth(a ^ b, 30)
-    in_turn = second.trajectory(first.trajectory(trajectory))
-    at_once = compose(second, first).trajectory(trajectory)
-    np.testing.assert_allclose(in_turn.positions, at_once.positions, atol=1e-9)
-    assert in_turn.velocities is not None
-    assert at_once.velocities is not None
-    np.testing.assert_allclose(in_turn.velocities, at_once.velocities, atol=1e-9)
-    assert in_turn.rotations is not None
-    assert at_once.rotations is not None
-    np.testing.assert_allclose(
-        (in_turn.rotations * at_once.rotations.inv()).magnitude(), 0.0, atol=1e-14
-    )
 
 
 @given(seed=seeds)

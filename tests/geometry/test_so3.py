@@ -30,26 +30,6 @@ def test_exponential_and_logarithm_are_scipys(seed: int) -> None:
 
 
 @given(seeds)
-def test_left_jacobian_is_the_derivative_of_the_exponential(seed: int) -> None:
-    vectors, step = _vectors(seed), 1e-6
-    directions = np.random.default_rng(seed + 1).normal(size=vectors.shape)
-    ahead, behind = (so3.exp(vectors + sign * step * directions) for sign in (1.0, -1.0))
-    numeric = so3.log(ahead @ np.swapaxes(behind, 1, 2)) / (2.0 * step)
-    analytic = np.einsum("nij,nj->ni", so3.left_jacobian(vectors), directions)
-    np.testing.assert_allclose(analytic, numeric, atol=1e-8)
-    product = so3.left_jacobian(vectors) @ so3.inverse_left_jacobian(vectors)
-    np.testing.assert_allclose(product, np.tile(np.eye(3), (len(vectors), 1, 1)), atol=1e-12)
-
-
-@pytest.mark.parametrize("angle", [0.1, np.sqrt(1e-3)])
-def test_series_join_the_closed_forms(angle: float) -> None:
-    direction = np.array([0.48, -0.6, 0.64])
-    below, above = (direction * (angle + step) for step in (-1e-12, 1e-12))
-    for function in (so3.exp, so3.left_jacobian, so3.inverse_left_jacobian):
-        np.testing.assert_allclose(function(below), function(above), atol=1e-11)
-
-
-@given(seeds)
 def test_skew_is_the_cross_product(seed: int) -> None:
     left, right = _vectors(seed), _vectors(seed + 1)
     product = np.einsum("nij,nj->ni", so3.skew(left), right)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 from state_rows import states, trajectory
-from strategies import SAME_ROTATION_RAD, make_groundtruth, seeds
+from strategies import make_groundtruth, seeds
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
@@ -120,13 +120,6 @@ def test_columns_that_are_not_finite_throughout_are_left_out_and_said_so(
     assert len(read) == 4
     assert getattr(read, column) is None
     assert any(column.replace("_", " ") in note for note in read.reading.messages(Level.NOTE))
-
-
-def test_quaternions_of_any_length_are_rotations() -> None:
-    rotations = Rotation.random(5, random_state=1)
-    read = Trajectory.from_columns(stamps(5), np.zeros((5, 3)), 1e-3 * rotations.as_quat())
-    assert read.rotations is not None
-    assert (read.rotations * rotations.inv()).magnitude().max() <= SAME_ROTATION_RAD
 
 
 def test_nothing_left_is_an_empty_trajectory_that_says_why() -> None:
