@@ -269,27 +269,6 @@ def test_moments_of_no_pairs_are_empty() -> None:
     assert np.isfinite(moments.anchor.translation).all()
 
 
-@given(seed=seeds, factor=st.floats(1e-3, 1e3))
-def test_only_the_ratio_of_weights_matters(seed: int, factor: float) -> None:
-    p, q = points(seed, error_m=0.5)
-    weights = np.random.default_rng(seed).uniform(0.1, 10.0, size=len(p))
-    one = align(Gauge.SIM3, p, q, weights).similarity
-    other = align(Gauge.SIM3, p, q, factor * weights).similarity
-    np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-11)
-    np.testing.assert_allclose(one.translation, other.translation, atol=1e-10)
-    assert one.scale == pytest.approx(other.scale, rel=1e-11)
-
-
-@given(seed=seeds)
-def test_a_whole_weight_is_as_many_repetitions(seed: int) -> None:
-    p, q = points(seed, error_m=0.5)
-    times = np.random.default_rng(seed).integers(1, 5, size=len(p))
-    one = align(Gauge.SE3, p, q, times.astype(float)).similarity
-    other = align(Gauge.SE3, np.repeat(p, times, axis=0), np.repeat(q, times, axis=0)).similarity
-    np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-11)
-    np.testing.assert_allclose(one.translation, other.translation, atol=1e-10)
-
-
 def test_weights_are_the_inverse_of_variance_with_the_errors_as_a_floor() -> None:
     covariances = np.zeros((3, 6, 6))
     covariances[:, :3, :3] = np.diag([1.0, 2.0, 6.0]) * np.array([0.0, 1.0, 4.0])[:, None, None]

@@ -168,26 +168,6 @@ def test_a_long_chain_of_rivals_takes_work_in_proportion() -> None:
 
 
 @given(seed=seeds)
-def test_evo_pairs_the_shorter_ones_states_with_their_nearest(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    truth = at(np.sort(random.uniform(0, 2000, size=random.integers(2, 200))), start=0)
-    estimate = at(np.sort(random.uniform(0, 2000, size=random.integers(2, 200))), start=0)
-    expected = []
-    short, long = (truth, estimate) if len(truth) < len(estimate) else (estimate, truth)
-    for i, stamp in enumerate(short.stamps):
-        apart = np.abs(long.stamps - stamp)
-        if apart.min() <= 10 * MILLISECOND:
-            expected.append((i, int(apart.argmin())))
-    if not expected:
-        return
-    pairs = associate(truth, estimate, AssociationRule("evo", 0.01))
-    actual = list(zip(rows(pairs.estimate), rows(pairs.groundtruth), strict=True))
-    if short is truth:
-        actual = [(j, i) for i, j in actual]
-    assert actual == expected
-
-
-@given(seed=seeds)
 def test_interpolation_is_linear_in_position_and_slerp_in_rotation(seed: int) -> None:
     groundtruth = make_groundtruth(seed, 60)
     estimate = make_estimate(groundtruth, seed + 1)

@@ -138,17 +138,6 @@ def test_the_se3_form_is_the_error_of_relative_poses(form: str, seed: int) -> No
             assert errors.tilt_deg[k] == pytest.approx(tilt, abs=1e-8)
 
 
-@pytest.mark.parametrize("gauge", list(Gauge))
-@given(seed=seeds)
-def test_a_sub_trajectory_of_one_state_has_no_position_error(gauge: Gauge, seed: int) -> None:
-    truth, estimate = noisy_pair(seed)
-    every = np.arange(40)
-    errors = relative_errors(truth, estimate, every, every, gauge)
-    np.testing.assert_allclose(errors.position_m, 0.0, atol=1e-12)
-    if gauge not in (Gauge.YAW, Gauge.PLANAR):
-        np.testing.assert_allclose(errors.rotation_deg, 0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("form", ["plain", "tutorial"])
 @given(seed=seeds)
 def test_absolute_errors_are_those_of_matrices(form: str, seed: int) -> None:

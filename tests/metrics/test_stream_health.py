@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -70,8 +71,7 @@ def test_a_long_run_takes_constant_memory_and_keeps_its_percentiles() -> None:
         monitor.add(stamps, stamps + delays)
         exact.append(delays)
     whole, delays = monitor.whole(), np.concatenate(exact) / SECOND
-    assert len(monitor._delays_s) <= 4096
-    assert monitor._recent.shape[1] <= 2000
+    assert len(pickle.dumps(monitor)) < 100_000
     assert whole.arrival_p50_s == pytest.approx(np.percentile(delays, 50), rel=0.05)
     assert whole.arrival_p95_s == pytest.approx(np.percentile(delays, 95), rel=0.05)
     assert whole.arrival_max_s == delays.max()

@@ -76,30 +76,6 @@ def test_equal_covariances_weigh_as_none(gauge: Gauge) -> None:
     )
 
 
-@pytest.mark.parametrize("gauge", [Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3, Gauge.SIM3])
-def test_states_known_to_be_bad_pull_the_alignment_less(gauge: Gauge) -> None:
-    groundtruth = make_groundtruth(9, 400)
-    random = np.random.default_rng(10)
-    bad = np.arange(400) >= 250
-    shift = np.where(bad[:, None], random.normal(scale=1.0, size=(400, 3)) + [2.0, 1.0, 0.0], 0.0)
-    sigma = np.where(bad, 2.0, 0.01)
-    estimate = dataclasses.replace(
-        groundtruth,
-        positions=groundtruth.positions + shift,
-        covariances=np.einsum("n,ij->nij", sigma**2, np.eye(6)),
-    )
-    protocol = dataclasses.replace(BASE, gauge=gauge, lengths=())
-    plain = evaluate(groundtruth, estimate, protocol)
-    weighted = evaluate(
-        groundtruth, estimate, dataclasses.replace(protocol, align_weights="covariance")
-    )
-    # The true alignment is the identity: the good states fit better, all together fit worse.
-    assert weighted.absolute.position_m[~bad].mean() < 0.8 * plain.absolute.position_m[~bad].mean()
-    assert plain.ate["position_m"] is not None
-    assert weighted.ate["position_m"] is not None
-    assert weighted.ate["position_m"].rmse > plain.ate["position_m"].rmse
-
-
 def test_weights_without_covariances_are_refused() -> None:
     groundtruth = make_groundtruth(11)
     protocol = dataclasses.replace(BASE, align_weights="covariance")
@@ -299,7 +275,7 @@ def test_sim3_by_one_state_is_refused_with_the_reason() -> None:
         evaluate(groundtruth, groundtruth, protocol)
 
 
-@pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3, Gauge.SIM3])
+@pytest.mark.parametrize("gauge", [Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3, Gauge.SIM3])
 def test_weights_are_by_the_error_of_the_round_before_in_two_rounds(gauge: Gauge) -> None:
     groundtruth = make_groundtruth(12, 200)
     estimate = make_estimate(groundtruth, 13, error_m=0.5)
