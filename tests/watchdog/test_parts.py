@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import re
 from pathlib import Path
 
@@ -15,11 +16,8 @@ from benchmarks.watch_faults import FAULTS
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.interpolation import slerp_at
 from trajeval_ros.geometry.lie import running_products
 from trajeval_ros.watchdog.event_signals import EventSignals
-from trajeval_ros.watchdog.inertial_mounting import Mounting
-from trajeval_ros.watchdog.judging import judged
 from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
 from trajeval_ros.watchdog.pose_signals import CorrectionSignals, SmoothSignal
 from trajeval_ros.watchdog.recording import error_spans, undetected_faults
@@ -35,7 +33,6 @@ from trajeval_ros.watchdog.signals import (
     source_of,
     source_words,
 )
-from trajeval_ros.watchdog.twist_signals import _lag_of
 from trajeval_ros.watchdog.watch_alarms import AlarmBook
 
 PAGE = Path(__file__).parents[2] / "docs" / "watchdog.md"
@@ -79,7 +76,7 @@ def test_old_rows_are_forgotten() -> None:
     assert recent.rows[0, 0] == 49_701.0
     recent.forget_until(1.0)
     assert recent.rows[0, 0] == 49_701.0
-    assert len(recent._store) < 5000
+    assert len(pickle.dumps(recent)) < 5000 * 2 * 8
 
 
 def test_windows_begin_at_their_first_row_and_have_no_gap() -> None:
@@ -91,7 +88,6 @@ def test_windows_begin_at_their_first_row_and_have_no_gap() -> None:
 
 
 def test_rotations_over_time() -> None:
-    generator = np.random.default_rng(4)
     steps = Rotation.random(9, random_state=4)
     first = Rotation.random(random_state=5)
     expected, now = [], first
@@ -101,19 +97,6 @@ def test_rotations_over_time() -> None:
     result = Rotation.from_quat(running_products(first.as_quat(), steps.as_quat()))
     assert max((a.inv() * b).magnitude() for a, b in zip(result, expected, strict=True)) < 1e-12
     assert running_products(first.as_quat(), np.zeros((0, 4))).shape == (0, 4)
-    times = np.arange(3.0)
-    rotated = lie.from_rotation_vector(np.outer([0.0, 0.2, 0.8], [0.0, 0.0, 1.0]))
-    result = slerp_at(times, rotated, np.array([-1.0, 0.5, 1.25, 9.0]))
-    np.testing.assert_allclose(
-        lie.rotation_vector(result)[:, 2], [0.0, 0.1, 0.35, 0.8], atol=1e-12
-    )
-    angles = np.array([0.0, 10.0, 179.0, 181.0, 350.0, 370.0])
-    about = lie.from_rotation_vector(np.outer(np.radians(angles), [0.6, 0.0, 0.8]))
-    signs = generator.choice([-1.0, 1.0], len(angles))[:, None]
-    for quaternions in (about, signs * about):
-        np.testing.assert_allclose(
-            np.degrees(lie.angle(quaternions)), [0.0, 10.0, 179.0, 179.0, 10.0, 10.0], atol=1e-5
-        )
 
 
 def test_limits_are_those_of_the_table_in_the_documentation() -> None:
@@ -216,23 +199,6 @@ def test_what_is_not_detected_is_said_once() -> None:
     ]  # fmt: skip
     (message,) = undetected_faults(["twist", "imu", "pair", "map"], ["imu", "pair"], [])
     assert message.startswith("no data of the map-to-odom transform after arming (30 s of motion)")
-
-
-def test_remarks_about_an_imu_need_a_difference_that_matters() -> None:
-    def printed(turn_deg: float, offset_s: float, axis: Floats | None = None) -> list[str]:
-        rotation = lie.from_rotation_vector(np.radians([turn_deg, 0.0, 0.0]))
-        return Mounting(rotation, np.zeros(3), offset_s, axis, 0.1, np.eye(6)).remarks()
-
-    assert printed(4.9, 0.049) == printed(-4.9, -0.049) == []
-    assert [item[:37] for item in printed(5.1, 0.0)] == ["the IMU frame is rotated by 5.1 deg f"]
-    assert printed(0.0, 0.051) == ["the estimate's clock is 0.051 s behind the IMU's (applied)"]
-    assert printed(0.0, -0.051) == ["the estimate's clock is 0.051 s ahead of the IMU's (applied)"]
-    assert [item[:40] for item in printed(9.0, 0.0, np.ones(3))] == [
-        "the robot rotated about only one axis: t"
-    ]
-    related = Mounting(UPRIGHT, np.zeros(3), 0.0, None, 0.499, np.eye(6))
-    assert related.is_related
-    assert not dataclasses.replace(related, misfit=0.5).is_related
 
 
 def test_coasting_is_smoother_than_usual() -> None:
@@ -339,21 +305,6 @@ def test_map_corrections_move_the_robot_where_it_is() -> None:
     assert again["map_correction_deg_1s"].values == pytest.approx([0.0], abs=1e-9)
 
 
-def test_the_body_of_a_partner_by_its_definition() -> None:
-    generator = np.random.default_rng(2)
-    rotations = lie.from_rotation_vector(generator.normal(0.0, 0.5, (80, 3)))
-    steps = generator.normal(0.0, 1.0, (80, 3))
-    rotation, lever = Rotation.random(random_state=3), np.array([0.3, -0.2, 0.1])
-    own = Rotation.from_quat(rotations)
-    other_turns = (rotation.inv() * own * rotation).as_quat()
-    other_steps = rotation.inv().apply(steps - lever + own.apply(lever)) / 1.7
-    result = body_difference(rotations, steps, other_turns, other_steps)
-    assert (Rotation.from_quat(result.rotation).inv() * rotation).magnitude() < 1e-6
-    np.testing.assert_allclose(result.lever_m, lever, atol=1e-6)
-    assert result.scale == pytest.approx(1.7)
-    assert np.sqrt(np.diag(result.covariance)).max() < 1e-3
-
-
 @pytest.mark.parametrize("seed", range(4200, 4206))
 def test_the_body_of_a_partner_of_a_planar_robot_is_within_its_standard_deviations(
     seed: int,
@@ -378,42 +329,6 @@ def test_the_body_of_a_partner_of_a_planar_robot_is_within_its_standard_deviatio
     # The lever arm along the axis has no effect: only the prior of 0.5 m is known.
     assert sigma[5] == pytest.approx(0.5, rel=0.05)
     assert max(sigma[3:5]) < 0.01
-
-
-def test_residuals_count_where_the_calibration_is_known() -> None:
-    residuals = np.array([[0.3, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.0]])
-    jacobians = np.tile(np.eye(3), (3, 1, 1))
-    covariance = np.diag([1e-12, 0.2**2, 1.0])
-    result = judged(residuals, jacobians, covariance, 0.1)
-    assert result == pytest.approx([0.3, 0.4 * 0.1 / np.hypot(0.1, 0.2), 0.0])
-
-
-def lag_run(lag_s: float, speed: Floats, seed: int) -> tuple[float, float]:
-    """Return the lag that is found, and its p-value, of a twist with noise."""
-    generator = np.random.default_rng(seed)
-    times = np.arange(len(speed)) * 0.04
-    heading = 0.5 * np.sin(0.3 * times)
-    rotations = lie.from_rotation_vector(np.outer(heading, [0.0, 0.0, 1.0]))
-    along = np.stack([np.cos(heading), np.sin(heading), 0.0 * times], axis=1)
-    path = np.cumsum(along * speed[:, None], axis=0) * 0.04
-    told = np.interp(times - lag_s, times, speed) + generator.normal(0.0, 0.015, len(times))
-    path += generator.normal(0.0, 0.0015, path.shape)
-    body = np.outer(told, [1.0, 0.0, 0.0])
-    states = OrderedFeed().rows(times, path, rotations, body)
-    return _lag_of(states)
-
-
-@pytest.mark.slow
-def test_a_lag_of_the_twist_needs_evidence() -> None:
-    times = np.arange(900) * 0.04
-    swinging = 1.0 + 0.4 * np.sin(1.1 * times) + 0.2 * np.sin(2.3 * times)
-    for seed in range(20):
-        assert lag_run(0.0, swinging, seed)[0] == 0.0
-        lag_s, chance = lag_run(0.06, swinging, seed)
-        assert lag_s == pytest.approx(0.06, abs=0.026)
-        assert chance <= 0.005
-        # At constant speed the lag has no effect.
-        assert lag_run(0.06, np.ones(900), seed)[0] == 0.0
 
 
 def test_a_partner_with_one_state_is_waited_for() -> None:

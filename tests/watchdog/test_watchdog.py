@@ -364,6 +364,7 @@ def test_the_lag_of_a_twist_is_found_and_used() -> None:
     result = watched(WatchedRun(slow))
     assert any("the twist is 0.30 s later" in notice for notice in result.notices)
     assert result.signals["twist_m_5s"].values.max() < 0.05
+    assert not any("the twist is" in notice for notice in seen().notices)
 
 
 def test_a_twist_in_the_worlds_axes_is_said_and_not_judged() -> None:
