@@ -259,18 +259,10 @@ def _copied(folder: Path) -> None:
         (lambda folder: (folder / "imu.csv").unlink(), "has no file of IMU samples"),
         (_copied, "has more than one file of IMU samples"),
         (_without("camera.yaml", "T_BS"), "has no T_BS"),
-        (
-            _replaced("camera.yaml", r"T_BS: \[[^,]*", "T_BS: [2.0"),
-            "is not a rigid transformation",
-        ),
         (_replaced("camera.yaml", r"T_BS: \[[^,]*, ", "T_BS: ["), "T_BS must be 16 numbers"),
         (_replaced("camera.yaml", "radial-tangential", "fov"), "distortion_model 'fov' is not"),
         (_replaced("camera.yaml", "radial-tangential", "[fov]"), r"distortion_model \['fov'\] is"),
         (_replaced("camera.yaml", "pinhole", "omni"), "camera_model 'omni'"),
-        (
-            _replaced("camera.yaml", r"intrinsics: \[[^,]*", "intrinsics: [0.0"),
-            "greater than zero",
-        ),
         (
             _replaced("camera.yaml", r"intrinsics: \[[^,]*", f"intrinsics: [{10**400}"),
             "64 bits",
@@ -280,15 +272,10 @@ def _copied(folder: Path) -> None:
         (_replaced("tracks.csv", r"\n(\d+),0,", r"\n\1,0.5,"), "must be whole numbers"),
         (_replaced("tracks.csv", r",0,[^,\n]*", ",0,nan"), "row 1 is not finite"),
         (_replaced("imu.csv", r"\n(\d+),[^,]*,", r"\n\1,"), "7 columns expected, found 6"),
-        (_replaced("imu.csv", r"\n(\d+),", "\n1503715000000000000,"), "does not increase"),
         (_later("tracks.csv", 2_500_000), "have no groundtruth: at"),
         (_later("imu.csv", 3_600_000_000_000), "0 of 47 images are within the time span of IMU"),
         (_silent, "IMU gap of 0.20 s"),
         (_thinned, "only 15 of 15 tracks"),
-        (
-            _replaced("groundtruth.csv", r"\n(\d+),", r"\n1403715000050000000,"),
-            "has repeated timestamps",
-        ),
     ],
 )
 def test_what_cannot_be_used_is_refused(
