@@ -20,21 +20,6 @@ from trajeval_ros.cli.app import main
 __all__ = ["pair"]  # a fixture
 
 
-def test_the_verdict_comes_first_then_the_tables(
-    pair: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*pair, "--modality", "stereo-inertial"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("estimate: position error 0.06")
-    assert lines[1].startswith("  worst: ")
-    assert lines[2].startswith("  aligned by yaw and position (4-DoF); ")
-    below = "\n".join(lines[3:])
-    assert "yaw and position (4-DoF), gauge yaw for stereo-inertial, all 400 pairs" in below
-    assert "100 % of the estimate's poses" in below
-    assert any("position [m]" in line and "400" in line for line in lines)
-    assert any("8 m" in line for line in lines)
-
-
 def test_the_verdict_states_that_only_the_scale_is_applied(
     pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -77,13 +62,6 @@ def test_the_drift_is_of_the_longest_sub_trajectories_in_metres(
     assert text is not None
     assert float(text[2]) == pytest.approx(max(drifts), rel=1e-3)
     assert float(text[1]) == pytest.approx(drifts[max(drifts)], rel=1e-2)
-
-
-def test_without_a_gauge_the_default_is_announced(
-    pair: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(pair) == 0
-    assert "gauge se3 by default" in capsys.readouterr().out
 
 
 def test_json_goes_alone_to_standard_output_and_twice_the_same(
@@ -295,13 +273,6 @@ def test_it_works_elsewhere_with_a_home_that_cannot_be_written(
     assert done.returncode == 0, done.stderr
     assert "ATE" in done.stdout
     assert list(elsewhere.iterdir()) == []
-
-
-def test_plain_text_in_a_pipe(pair: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(pair) == 0
-    output = capsys.readouterr().out
-    assert "\x1b" not in output
-    assert output.isascii()
 
 
 def test_help_teaches_by_example(

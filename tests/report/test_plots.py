@@ -114,18 +114,6 @@ def test_what_the_user_has_set_goes_before_our_style_and_a_style_sheet_before_bo
 
 
 @pytest.mark.slow
-def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> None:
-    evaluations = [_evaluation(0), _evaluation(0), _evaluation(0)]
-    for path in save_all(evaluation_drawings(evaluations), tmp_path, FigureStyle()):
-        assert _pixels(path).std() > 0.05
-    pixels = _pixels(tmp_path / "relative_error.png")
-    with apply_style():
-        tints = [canvas.tint(colour) for colour in palette.ESTIMATES[:4]]
-    assert all(_colour_share(pixels, colour) > 1e-3 for colour in tints[:3])
-    assert _colour_share(pixels, tints[3]) == 0.0
-
-
-@pytest.mark.slow
 def test_more_estimates_than_colours(tmp_path: Path) -> None:
     assert len(save_all(evaluation_drawings([_evaluation()] * 8), tmp_path, FigureStyle())) == 4
     with apply_style():
@@ -194,12 +182,6 @@ def test_errors_that_do_not_exist_have_no_panel() -> None:
     without = _evaluation(quaternions=None)
     assert "rotation error [deg]" not in _texts([without], "relative_error")
     assert "rotation error [deg]" in _texts([without, _evaluation()], "relative_error")
-
-
-def test_lines_between_pairs_have_one_entry_in_the_legend() -> None:
-    for count in (1, 2, 5):
-        evaluations = [_evaluation(seed) for seed in range(count)]
-        assert _texts(evaluations, "top_view").count("correspondences") == 1
 
 
 @pytest.mark.parametrize(
