@@ -18,6 +18,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.lie import running_products
 from trajeval_ros.watchdog.event_signals import EventSignals
+from trajeval_ros.watchdog.inertial_mounting import Mounting
 from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
 from trajeval_ros.watchdog.pose_signals import CorrectionSignals, SmoothSignal
 from trajeval_ros.watchdog.recording import error_spans, undetected_faults
@@ -199,6 +200,17 @@ def test_what_is_not_detected_is_said_once() -> None:
     ]  # fmt: skip
     (message,) = undetected_faults(["twist", "imu", "pair", "map"], ["imu", "pair"], [])
     assert message.startswith("no data of the map-to-odom transform after arming (30 s of motion)")
+
+
+def test_remarks_about_an_imu_need_a_difference_that_matters() -> None:
+    def printed(turn_deg: float, offset_s: float, axis: Floats | None = None) -> list[str]:
+        rotation = lie.from_rotation_vector(np.radians([turn_deg, 0.0, 0.0]))
+        return Mounting(rotation, np.zeros(3), offset_s, axis, 0.1, np.eye(6)).remarks()
+
+    assert printed(0.1, 0.001) == printed(-0.1, -0.001) == []
+    assert printed(0.0, -0.2) == ["the estimate's clock is 0.200 s ahead of the IMU's (applied)"]
+    [text] = printed(9.0, 0.0, np.ones(3))
+    assert text.startswith("the robot rotated about only one axis: the gyroscope is compared")
 
 
 def test_coasting_is_smoother_than_usual() -> None:
