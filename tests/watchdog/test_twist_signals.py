@@ -36,3 +36,12 @@ def test_a_late_twist_is_awaited(lag_s: float) -> None:
     # States wait for a twist that comes later, never for an earlier one.
     waiting = round(max(lag_s, 0.0) / STEP_S)
     assert count == pytest.approx(750 - waiting - 250, abs=3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_lag_needs_evidence(seed: int) -> None:
+    rows = states_with(0.3)
+    generator = np.random.default_rng(seed)
+    rows[:, 2] = 2.0 * rows[:, 0] + generator.normal(0.0, 0.0015, len(rows))
+    rows[:, 9] = 2.0 + generator.normal(0.0, 0.015, len(rows))
+    assert TwistSignals(rows).lag_s == 0.0  # at constant speed the lag has no effect
