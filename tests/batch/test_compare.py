@@ -286,20 +286,6 @@ def test_the_table_has_a_row_per_run_metric_and_length_with_provenance(tmp_path:
     assert len(item) == len(rows)
 
 
-def test_bags_are_sources_too(flights: Path, tmp_path: Path) -> None:
-    config = tmp_path / "bags.yaml"
-    config.write_text(
-        f"folder: {flights}\n"
-        "groundtruth: '{sequence}:/groundtruth/pose'\n"
-        "runs: {vio: '{sequence}:/vio/odometry', path: '{sequence}:/vio/path'}\n"
-        "gauge: yaw\n"
-    )
-    _, summary = run(config)
-    vio = {trial.sequence: trial.rmse for trial in summary.of("vio") if trial.status == "ok"}
-    assert set(vio) == {"mcap", "sqlite3"}
-    assert vio["mcap"] == pytest.approx(vio["sqlite3"])
-
-
 def test_urls_are_sources_too(tmp_path: Path) -> None:
     pytest.importorskip("upath", reason="universal-pathlib is missing, the extra `remote`")
     import fsspec
