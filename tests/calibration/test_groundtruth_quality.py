@@ -155,11 +155,13 @@ def test_exact_positions_do_not_bend_the_clock() -> None:
     assert abs(clock) < 2.0  # 5.9 ms if the fit trusts positions more than 1 mm
 
 
+@pytest.mark.slow
 def test_heavy_tails_have_no_false_verdict() -> None:
     result = examined(rig(5, tails=3.0))
     assert set(verdicts(result).values()) <= {"insignificant"}
 
 
+@pytest.mark.slow
 def test_verdicts_do_not_depend_on_world_origin_of_time_or_order(
     faulty: tuple[ExaminedRig, ExaminedGroundtruth],
 ) -> None:
@@ -281,6 +283,7 @@ def test_clock_and_lever_arm_that_are_likely_but_not_significant_are_repaired() 
     assert position_m < 7e-4 < 6e-3 < before_m
 
 
+@pytest.mark.slow
 def test_jitter_of_timestamps() -> None:
     result = examined(rig(4, jitter_s=3e-3))
     jitter = result.causes["jitter"]
@@ -352,6 +355,7 @@ def test_a_gyroscope_alone(faulty: tuple[ExaminedRig, ExaminedGroundtruth]) -> N
     assert result.causes["lever_arm"].verdict == result.causes["tilted"].verdict == "inconclusive"
 
 
+@pytest.mark.slow
 def test_gaps_and_saturation_of_the_imu(faulty: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
     made, result = faulty
     readings = made.readings

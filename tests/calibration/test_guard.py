@@ -79,7 +79,9 @@ def test_a_fit_without_free_directions_stays_at_its_start() -> None:
     np.testing.assert_array_equal(fitted.linearised.residual, expected)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(
+    "axis", [0, *(pytest.param(axis, marks=pytest.mark.slow) for axis in (1, 2))]
+)
 def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
     truth, estimate = fly(axis, 60.0)
     result = evaluate_calibrated(truth, mirrored(estimate, axis), YAW, AUTO)

@@ -295,6 +295,7 @@ def test_a_place_that_cannot_be_written_gets_one_sentence(
     assert ".part" not in line
 
 
+@pytest.mark.slow
 def test_an_estimate_has_the_given_name_everywhere(
     pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
