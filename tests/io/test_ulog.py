@@ -30,10 +30,10 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import decode_poses
 from trajeval_ros.io.bags.px4_messages import ODOMETRY, PX4_POSE_TYPES
 from trajeval_ros.io.bags.topics import trajectory_of_columns
-from trajeval_ros.io.describe import describe
+from trajeval_ros.io.describe import Description, describe
 from trajeval_ros.io.find_sources import find_sources
+from trajeval_ros.io.roles import likely_evaluations
 from trajeval_ros.io.sources import each_topic, read_many, read_trajectory
-from trajeval_ros.io.ulog import simulated_sides
 
 Array = NDArray[Any]
 DATA = SHARED / "data" / "px4"
@@ -317,7 +317,8 @@ def test_topics_of_a_log_are_named_and_listed(tmp_path: Path) -> None:
 
 
 def test_a_log_of_the_simulator_needs_no_topics(tmp_path: Path) -> None:
-    path, saved = tmp_path / "log.ulg", tmp_path / "result.json"
+    path, saved = tmp_path / "ground_truth" / "log.ulg", tmp_path / "result.json"
+    path.parent.mkdir()
     topics = [("vehicle_odometry", 0, odometry()), ("estimator_odometry", 1, odometry())]
     truth = "vehicle_local_position_groundtruth"
     write_ulog(path, [*topics, (truth, 0, local_position())])
@@ -326,20 +327,47 @@ def test_a_log_of_the_simulator_needs_no_topics(tmp_path: Path) -> None:
         ran = CliRunner().invoke(app, call)
     assert ran.exit_code == 0
     assert parser.call_count == 1
-    assert f"assumed: groundtruth {truth}: of the simulator; change it with -g" in ran.output
-    assert "assumed: estimate vehicle_odometry: odometry; change it with -e" in ran.output
+    assert f"assumed: groundtruth {truth}: by its name; change it with -g" in ran.output
+    assert "assumed: estimate vehicle_odometry: not named as groundtruth" in ran.output
     assert f"repeat: trajeval evaluate -g {path}:{truth} -e " in ran.output
     result = json.loads(saved.read_text())
     assert result["groundtruth"]["source"] == f"{path}:{truth}"
     named = {run["estimate"]["source"].rpartition(":")[2] for run in result["runs"]}
     assert named == {"vehicle_odometry", "estimator_odometry.1"}
-    for written, match in (
-        (topics, f"has no {truth}; give two topics as in .*:TOPIC; list them: trajeval info"),
-        ([(truth, 0, local_position())], "has no odometry; give two topics"),
+    for written, why in (
+        (topics[:1], "has no likely groundtruth; name it: trajeval evaluate -g GROUNDTRUTH"),
+        ([(truth, 0, local_position())], "has no two likely sides; list its topics"),
     ):
         write_ulog(path, written)
-        with pytest.raises(InputError, match=match):
-            simulated_sides(path)
+        assert f"{path} {why}" in str(CliRunner().invoke(app, call).exception)
+
+
+@needs_data
+def test_a_flight_has_the_same_roles_and_choice_as_a_log_and_as_a_bag() -> None:
+    sides = [describe(str(DATA / f"synthetic_1_16.{ending}")) for ending in ("ulg", "mcap")]
+    log, bag = ({_name(item.source): item for item in side.trajectories} for side in sides)
+    names = sorted(log.keys() & bag.keys())
+    assert len(names) == 3
+    chosen = []
+    for side in (log, bag):
+        shared = Description(DATA, tuple(side[name] for name in names))
+        chosen.append(
+            [
+                (_name(item.groundtruth), *map(_name, item.estimates), item.modality)
+                for item in likely_evaluations(shared)
+            ]
+        )
+    assert [log[name].could_be for name in names] == [bag[name].could_be for name in names]
+    assert chosen[0] == chosen[1]
+    assert chosen[0] == [
+        ("vehicle_mocap_odometry", "vehicle_odometry", "gnss-aided"),
+        ("vehicle_mocap_odometry", "vehicle_visual_odometry", "stereo-inertial"),
+    ]
+
+
+def _name(source: str) -> str:
+    """Return the topic of uORB in a SOURCE."""
+    return source.rpartition(":")[2].rpartition("/")[2]
 
 
 def test_a_search_reads_only_the_start_of_a_log(

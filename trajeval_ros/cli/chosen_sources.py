@@ -44,11 +44,9 @@ def chosen_evaluation(
     """
     import shlex
 
-    from trajeval_ros.io.roles import describe_all, likely_evaluations, simulated_evaluation
+    from trajeval_ros.io.roles import describe_all, likely_evaluations
     from trajeval_ros.report.console import console
 
-    if Path(recording).suffix == ".ulg":
-        return simulated_evaluation(Path(recording), has_gauge=is_gauge_given)
     with progress(f"searching {recording}") as advance:
         description = describe_all(Path(recording), read, advance)
     likely = likely_evaluations(description, has_one_gauge=is_gauge_given)

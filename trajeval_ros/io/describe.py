@@ -109,13 +109,13 @@ def describe(
         except OSError as error:
             raise InputError(f"{parts.path} can't be read: {reason_of(error)}") from error
     if parts.is_log and not parts.topic:
-        return _describe_log(source, parts.path)
+        return _describe_log(source, parts.path, read)
     read[source] = trajectory = read_trajectory(source, advance=advance, hints=hints)
     return Description(parts.path, (summarize(source, trajectory),))
 
 
-def _describe_log(source: str, path: Path) -> Description:
-    """Return the topics with poses of a log of PX4."""
+def _describe_log(source: str, path: Path, read: dict[str, Trajectory]) -> Description:
+    """Return the topics with poses of a log of PX4, and put its trajectories into `read`."""
     from trajeval_ros.io.ulog import PoseLog
 
     log = PoseLog(path)
@@ -123,7 +123,8 @@ def _describe_log(source: str, path: Path) -> Description:
     for topic in log.topics:
         name = f"{source}:{topic}"
         try:
-            topics.append(summarize(name, log.trajectory(topic)))
+            read[name] = log.trajectory(topic)
+            topics.append(summarize(name, read[name]))
         except InputError as error:
             topics.append(TrajectorySummary(name, "ULog", log.count(topic), problem=str(error)))
     return Description(path, tuple(topics), remarks=tuple(log.remarks))
@@ -238,8 +239,9 @@ def _could_be(source: str, trajectory: Trajectory) -> str:
     """Return the likely role, from the name and from quantities that only estimators output."""
     if trajectory.reading.fixes is not None:
         return "groundtruth"
-    # A topic, or a file and its folder. The path of a bag is not a name of its topics.
-    _, colon, topic = source.rpartition(":/")
+    # A topic, or a file and its folder. The path of a bag or log is not a name of its topics.
+    separator = ":" if trajectory.reading.format.startswith("ULog") else ":/"
+    _, colon, topic = source.rpartition(separator)
     is_topic = colon and not topic.startswith("/")
     name = topic if is_topic else "/".join(source.split("/")[-2:])
     if is_named_groundtruth(name) or is_named_groundtruth(trajectory.frame):

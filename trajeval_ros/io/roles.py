@@ -37,7 +37,6 @@ _WORDS = (
 )
 _CAMERAS = {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
 _FIXES = 2  # rank of groundtruth from GNSS, the last
-_NO_SENSORS = "sensors unknown; state them with --modality"
 _IMU, _LIDAR = "sensor_msgs/msg/Imu", "sensor_msgs/msg/PointCloud2"
 
 
@@ -59,23 +58,6 @@ class LikelyEvaluation:
         if sensors := self.modality or modality:
             words.append(f"--modality {sensors}")
         return " ".join([*words, *([self.options] if self.options else [])])
-
-
-def simulated_evaluation(log: Path, *, has_gauge: bool) -> LikelyEvaluation:
-    """Return the evaluation of a simulated log of PX4.
-
-    Raises:
-        InputError: The log has no groundtruth of a simulator, or no odometry.
-    """
-    from trajeval_ros.io.ulog import simulated_sides
-
-    truth, *estimates = simulated_sides(log)
-    reasons = (
-        f"groundtruth {_topic(truth)}: of the simulator; change it with -g",
-        *(f"estimate {_topic(estimate)}: odometry; change it with -e" for estimate in estimates),
-        *(() if has_gauge else (_NO_SENSORS,)),
-    )
-    return LikelyEvaluation(truth, tuple(estimates), "", reasons)
 
 
 def likely_evaluations(
@@ -138,7 +120,7 @@ def likely_evaluations(
 def describe_all(
     path: Path, read: dict[str, Trajectory], advance: Advance = lambda done, total: None
 ) -> Description:
-    """Return the contents of a bag, or of all files in a folder.
+    """Return the contents of a bag or log, or of all files in a folder.
 
     `read` receives the trajectories by their SOURCE.
 
@@ -228,7 +210,7 @@ def _evaluation(
     if modality:
         reasons.append(f"sensors {modality}: {why}; change them with --modality")
     elif has_sensors:
-        reasons.append(_NO_SENSORS)
+        reasons.append("sensors unknown; state them with --modality")
     # Options are of one system; other estimates would take them, too.
     options = {summary.system.options if summary.system else "" for summary in estimates}
     return LikelyEvaluation(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,15 +30,17 @@ from trajeval_ros.io.bags.topics import trajectory_of_columns
 from trajeval_ros.io.checks import nearest
 
 _HEADER = 16  # bytes before the first message
-_TRUTH = "vehicle_local_position_groundtruth"  # of the simulator
 # Message types of px4_msgs by the topics of uORB.
-_VISUAL, _MOCAP = "vehicle_visual_odometry", "vehicle_mocap_odometry"
 _TYPES = {
-    **dict.fromkeys(("vehicle_odometry", _VISUAL, _MOCAP, "estimator_odometry"), ODOMETRY),
-    **dict.fromkeys(
-        ("vehicle_local_position", _TRUTH, "estimator_local_position"), LOCAL_POSITION
-    ),
-    **dict.fromkeys(("vehicle_gps_position", "sensor_gps"), GPS),
+    "vehicle_odometry": ODOMETRY,
+    "vehicle_visual_odometry": ODOMETRY,
+    "vehicle_mocap_odometry": ODOMETRY,
+    "estimator_odometry": ODOMETRY,
+    "vehicle_local_position": LOCAL_POSITION,
+    "vehicle_local_position_groundtruth": LOCAL_POSITION,  # of the simulator
+    "estimator_local_position": LOCAL_POSITION,
+    "vehicle_gps_position": GPS,
+    "sensor_gps": GPS,
 }
 _kept: dict[tuple[Path, int], PoseLog] = {}  # the newest log of `topics_of`
 _ATTITUDES = tuple(attitude_name(name) for name, kind in _TYPES.items() if kind == LOCAL_POSITION)
@@ -131,22 +132,6 @@ def topics_of(path: Path) -> list[str]:
 
 def _version(path: Path) -> tuple[Path, int]:
     return path, path.stat().st_mtime_ns
-
-
-def simulated_sides(path: Path) -> list[str]:
-    """Return the SOURCEs of the simulator's groundtruth and of all odometry in a log.
-
-    Raises:
-        InputError: The log has none of the two.
-    """
-    topics = topics_of(path)
-    odometry = [name for name in topics if _TYPES[name.partition(".")[0]] == ODOMETRY]
-    if _TRUTH not in topics or not odometry:
-        raise InputError(
-            f"{path} has no {'odometry' if _TRUTH in topics else _TRUTH}; give two topics as in "
-            f"{path}:TOPIC; list them: trajeval info {shlex.quote(str(path))}"
-        )
-    return [f"{path}:{name}" for name in (_TRUTH, *odometry)]
 
 
 def _cut_off(raw: bytes) -> int:
