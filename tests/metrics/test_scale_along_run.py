@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 
 import numpy as np
@@ -16,6 +17,8 @@ from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.metrics.scale_along_run import ScaleAlongRun, scale_along_run
 from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.pipeline.request import Request
+from trajeval_ros.report.console import console
+from trajeval_ros.report.evaluation_text import print_remarks, print_verdicts
 
 COUNT = 4000
 MONO = Protocol(gauge=Gauge.SIM3)
@@ -139,10 +142,21 @@ def test_the_result_states_the_drift() -> None:
     assert result_of(rigid)["runs"][0]["scale_along_run"] is None
 
 
-def test_a_constant_scale_has_no_remark() -> None:
-    groundtruth, estimate = trajectories(0.0)
+@pytest.mark.parametrize("drift", [-30.0, 0.0])
+def test_a_drift_is_stated_below_the_worst_place_and_a_constant_scale_never(drift: float) -> None:
+    groundtruth, estimate = trajectories(drift)
     outcome = run(groundtruth, [estimate], Request(protocol=MONO))
-    assert "scale_drift" not in {item.code for item in outcome.runs[0].evaluation.remarks}
+    printed, notes = io.StringIO(), io.StringIO()
+    print_verdicts(console(printed), outcome)
+    print_remarks(console(notes), outcome.runs)
+    worst, *below = printed.getvalue().partition("  worst: ")[2].splitlines()
+    assert "scale drifts" not in worst
+    assert "scale drifts" not in notes.getvalue()
+    if drift:
+        assert below[0].startswith("  the scale drifts by -29.9")
+        assert " % per 100 m, from " in below[0]
+    else:
+        assert "scale drifts" not in printed.getvalue()
 
 
 def test_the_figure_shows_the_scale() -> None:

@@ -27,6 +27,7 @@ from trajeval_ros.pipeline.input_remarks import about_coverage, about_inputs, ab
 if TYPE_CHECKING:
     from trajeval_ros.metrics.evaluation import Evaluation
 
+SCALE_DRIFT = "scale_drift"  # the code of a remark that the result lines state
 LARGE_TILT_DEG = 10.0
 _BACK = 0.1  # of the differences of steps, that of two steps together if poses alternate
 # Largest factor on the position ATE by orientations in the alignment, without a warning.
@@ -201,7 +202,7 @@ def _about_scale(evaluation: Evaluation) -> Iterator[Remark]:
     scale = evaluation.scale_along_run
     if scale is not None and scale.is_drifting:
         yield note(
-            "scale_drift",
+            SCALE_DRIFT,
             f"the scale drifts by {scale.drift_text} % per 100 m, from {scale.ratios[0]:.3f} to "
             f"{scale.ratios[-1]:.3f} times that of the alignment",
         )

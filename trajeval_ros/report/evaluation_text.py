@@ -9,6 +9,7 @@ from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.formatting.text_tables import BOLD
 from trajeval_ros.geometry.source_info import ASSUMED, FORMAT
 from trajeval_ros.metrics.discontinuities.handling import SPLIT
+from trajeval_ros.pipeline.evaluation_remarks import SCALE_DRIFT
 from trajeval_ros.report import consistency_lines, tables
 from trajeval_ros.report.available_lines import available_lines, stream_line
 from trajeval_ros.report.calibration_lines import calibration_lines
@@ -142,7 +143,8 @@ def print_remarks(remarks: Console, runs: Sequence[RunOutcome]) -> None:
             if note.code == ASSUMED:
                 remarks.remark("assumed", note.text)
     for run in runs:
-        printed = {finding.cause for finding in run.diagnosis.findings}  # below the headline
+        # Below the headline.
+        printed = {SCALE_DRIFT, *(finding.cause for finding in run.diagnosis.findings)}
         for remark in run.evaluation.remarks:
             if remark.code not in printed:
                 kind = "note" if remark.level is Level.NOTE else WARNING

@@ -23,6 +23,7 @@ from trajeval_ros.geometry.valid_poses import reasons
 from trajeval_ros.metrics.discontinuities.events import DIVERGED, FROZEN
 from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.pipeline.evaluation_remarks import SCALE_DRIFT
 from trajeval_ros.pipeline.input_remarks import completeness_in_words
 from trajeval_ros.report.definitions import (
     METHOD_TEXTS,
@@ -54,7 +55,7 @@ def verdict(
     *,
     split: bool = False,
 ) -> list[str]:
-    """Return the result lines: errors, the worst place, alignment and coverage.
+    """Return the result lines: errors, the worst place, a drifting scale, alignment, coverage.
 
     With a `likelihood`, the first line has the ATE of poses that the groundtruth supports.
     `split` states the ATE of the parts between restarts, which are aligned separately.
@@ -88,6 +89,7 @@ def verdict(
             else []
         ),
         f"  {_worst(evaluation)}",
+        *(f"  {remark.text}" for remark in evaluation.remarks if remark.code == SCALE_DRIFT),
         f"  {alignment_of([evaluation], brief=True)}; {_share(evaluation)}",
         *([_split(evaluation.parts)] if split else []),
         *_score(evaluation),
