@@ -11,7 +11,7 @@ from trajeval_ros.cli.command import arguments
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.formatting.remarks import note
+from trajeval_ros.formatting.remarks import Level, note
 from trajeval_ros.geometry.source_info import ASSUMED
 from trajeval_ros.io.sources import BAG_ENDINGS, parse_source
 
@@ -52,9 +52,12 @@ def chosen_evaluation(
     likely = likely_evaluations(description, has_one_gauge=is_gauge_given)
     if len(likely) == 1 and likely[0].groundtruth:
         return likely[0]
-    look = f"trajeval info {shlex.quote(recording)}"
     if not likely:
-        raise InputError(f"{recording} has no two likely sides; list its topics: {look}")
+        look = f"trajeval info {shlex.quote(recording)}"
+        damage = [f"; {item.text}" for item in description.remarks if item.level is Level.ERROR]
+        raise InputError(
+            f"{recording} has no two likely sides; list its topics: {look}{''.join(damage)}"
+        )
     commands = [evaluation.command() for evaluation in likely]
     if not likely[0].groundtruth:
         raise InputError(f"{recording} has no likely groundtruth; name it: {commands[0]}")

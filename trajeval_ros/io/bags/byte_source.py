@@ -10,8 +10,6 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Protocol
 
-from trajeval_ros.formatting.numbers import counted
-
 GAP = 1 << 16  # bytes between requested ranges that cost less than another read
 
 
@@ -146,17 +144,6 @@ class ByteWindow:
             self._begin, self._data = offset, self._source.read(offset, room)
             place = 0
         return self._data[place : place + size]
-
-
-def how_far(end: int, size: int, in_cut: int) -> str:
-    """Return how far a file was read without its index, as text.
-
-    `end`: of its last whole record. `in_cut`: messages of a chunk in which the file ends.
-    """
-    more = f", plus {counted(in_cut, 'message')} of the cut chunk after it"
-    return f"read record by record, the last whole one ends at byte {end} of {size}" + (
-        more if in_cut else ""
-    )
 
 
 def source_of(path: Any) -> LocalFile | RemoteFile:

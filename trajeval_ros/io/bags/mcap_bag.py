@@ -16,8 +16,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.blocks import BYTES, ROWS, Block, TopicSelection, all_connections
-from trajeval_ros.io.bags.byte_source import ByteSource, DamagedError, how_far
+from trajeval_ros.io.bags.byte_source import ByteSource, DamagedError
 from trajeval_ros.io.bags.mcap_chunk_reading import ChunkMessages, read_chunk
 from trajeval_ros.io.bags.mcap_chunks import Chunk, block_at, of_channels
 from trajeval_ros.io.bags.mcap_contents import END_SIZE, data_end, read_summary, scanned_contents
@@ -49,6 +50,7 @@ class McapReader:
         self._source = source
         self._strict = strict
         self._known: tuple[int, int] | None = None
+        why = ""
         try:
             contents, self._known = read_summary(source)
             self.damage += [f"{source.name}: {item}" for item in contents.damage]
@@ -57,12 +59,17 @@ class McapReader:
             contents = scanned_contents(source, declared)
             if contents.damage or not isinstance(error, NoIndexError):
                 why = "; ".join([*contents.damage, str(error)])
-                far = how_far(contents.end, source.size, contents.in_cut)
-                self.damage.append(f"{source.name}: {why}; {far}")
         if strict and len(contents.messages):
             self._verify_data()
         self._chunks = sorted(contents.chunks, key=lambda chunk: chunk.first)
         self._messages = contents.messages
+        if why:
+            far = [why]
+            if self.span is not None:
+                seconds = (self.span[1] - self.span[0]) / NANOSECONDS
+                far.append(f"read to {seconds:.1f} s after its first message")
+            far.append(f"the last whole record ends at byte {contents.end} of {source.size}")
+            self.damage.append(f"{source.name}: {'; '.join(far)}")
         self.connections: list[Connection] = contents.registry.connections(contents.counts, self)
         self._unverified = dict(contents.registry.channels)  # their chunks may name other topics
 

@@ -63,7 +63,6 @@ class McapContents:
     # Number of messages by channel, in chunks and outside, as declared if there are statistics.
     counts: Counter[int] = field(default_factory=Counter)
     end: int = len(MAGIC)  # offset where the scan ended
-    in_cut: int = 0  # messages of the chunk in which the file ends
     # Damage found by the scan, one sentence per place.
     damage: list[str] = field(default_factory=list)
 
@@ -137,10 +136,11 @@ class _Scan:
             if is_whole or chunk.is_cut:
                 chunk.channels = frozenset(messages.channels.tolist())
             counts.update(messages.channels.tolist())
-            contents.in_cut += len(messages) if chunk.is_cut else 0
             if len(messages):
                 chunk.first = int(messages.log_times.min())
                 chunk.last = int(messages.log_times.max())
+            elif chunk.is_cut:
+                chunk.last = 0  # the file ends before its first message
         contents.chunks += self.opened
         known = np.fromiter(contents.registry.channels, np.int64)
         contents.messages = contents.messages[np.isin(contents.messages.channels, known)]
