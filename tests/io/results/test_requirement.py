@@ -52,6 +52,16 @@ def test_requirements_are_met_or_told(text: str, unmet: str) -> None:
         ("ate.xyz", "results have no 'xyz' in 'ate.xyz'; did you mean 'position_m'?"),
         ("ate.form.x", "results have no 'x' in 'ate.form.x'"),
         ("re.9m.x", "results have no '9m' in 're.9m.x'; did you mean '8m'?"),
+        (
+            "rmse",
+            "results have no 'rmse' in 'rmse'; longer paths: ate.position_m.rmse, as in "
+            "--require 'ate.position_m.rmse < 1'",
+        ),
+        (
+            "mean",
+            "results have no 'mean' in 'mean'; longer paths: re.8m.position_percent.mean, "
+            "re.pooled.mean, as in --require 're.8m.position_percent.mean < 1'",
+        ),
     ],
 )
 def test_requirements_on_what_is_no_number_are_refused(path: str, message: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 from trajeval_ros.exceptions import SettingsError
 
 _COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_SHOWN = 4  # longer paths in a message; results can have a hundred
 _PATTERN = r"\s*([\w.%]+?)\s*(<=|>=|<|>)\s*([-+0-9.eE]+)\s*"
 
 
@@ -61,7 +62,11 @@ class Requirement:
         for key in self.path.split("."):
             if value is None:
                 break
-            value = self._step(value, key, lengths)
+            known = _below(value, lengths)
+            if key not in known:
+                hint = self._hint(key, known, run, lengths)
+                raise SettingsError(f"results have no {key!r} in {self.path!r}{hint}")
+            value = known[key]
         if value is None:
             return f"{self} not met: {self.path} was not computed"
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -74,15 +79,35 @@ class Requirement:
             return ""
         return f"{self} not met: {value:.6g}"
 
-    def _step(self, value: Any, key: str, lengths: Sequence[str]) -> Any:
-        known = value
-        if isinstance(value, Mapping) and "pooled" in value:
-            # A dot in a length is written as an underscore, since dots separate keys.
-            names = [length.replace(".", "_") for length in lengths]
-            known = {**dict(zip(names, value["segments"], strict=True)), "pooled": value["pooled"]}
-        if not isinstance(known, Mapping) or key not in known:
-            names = list(known) if isinstance(known, Mapping) else []
-            near = get_close_matches(key, names, n=1) or names[:1]
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise SettingsError(f"results have no {key!r} in {self.path!r}{hint}")
-        return known[key]
+    def _hint(
+        self, key: str, known: Mapping[str, Any], run: Mapping[str, Any], lengths: Sequence[str]
+    ) -> str:
+        """Return the end of a message: where the path ends a longer one, or the nearest key."""
+        longer = [path for path in _paths(run, lengths) if path.endswith(f".{self.path}")]
+        if longer:
+            more = f" and {len(longer) - _SHOWN} more" if len(longer) > _SHOWN else ""
+            return (
+                f"; longer paths: {', '.join(longer[:_SHOWN])}{more}, as in --require "
+                f"'{longer[0]} {self.comparison} {self.bound:g}'"
+            )
+        near = get_close_matches(key, known, n=1) or list(known)[:1]
+        return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _below(value: Any, lengths: Sequence[str]) -> Mapping[str, Any]:
+    """Return what a value in a result holds by the keys of paths; empty for no mapping."""
+    if not isinstance(value, Mapping):
+        return {}
+    if "pooled" not in value:
+        return value
+    # A dot in a length is written as an underscore, since dots separate keys.
+    names = [length.replace(".", "_") for length in lengths]
+    return {**dict(zip(names, value["segments"], strict=True)), "pooled": value["pooled"]}
+
+
+def _paths(value: Any, lengths: Sequence[str]) -> Iterator[str]:
+    """Yield the paths of all numbers in a result."""
+    for key, item in _below(value, lengths).items():
+        if isinstance(item, int | float) and not isinstance(item, bool):
+            yield key
+        yield from (f"{key}.{path}" for path in _paths(item, lengths))
