@@ -25,6 +25,7 @@ from trajeval_ros.cli.progress import read_shown, report_dropped
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.pose_conventions import ORDERS, POSES, ROTATIONS, Conventions
+from trajeval_ros.geometry.source_info import FORMAT
 from trajeval_ros.io.describe import summarize
 from trajeval_ros.io.hand_eye_file import read_similarity
 from trajeval_ros.io.requests.request_from import request_from
@@ -333,7 +334,7 @@ def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool
     remarks = console(sys.stderr)
     for item in () if quiet else edited:
         for remark in item.trajectory.reading.remarks:
-            if remark.level < Level.ERROR:
+            if remark.level < Level.ERROR and remark.code != FORMAT:
                 kind = remark.level.name.lower()
                 remarks.remark(kind, f"{item.trajectory.name}: {remark.text}")
         why = "" if item.alignment is None else item.alignment.why_rotation_withheld
