@@ -29,6 +29,7 @@ from trajeval_ros.io.requests.settings_table import (
     settings_of,
     settings_of_many_runs,
 )
+from trajeval_ros.metrics.association import METHODS
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.parameter_table import PARAMETERS
@@ -60,6 +61,10 @@ def test_every_field_of_a_request_is_the_target_of_a_row() -> None:
     targets = [target for setting in SETTINGS.values() for target in setting.targets]
     assert {*targets, *INTERNAL} == set(fields(Request()))
     assert len(targets) == len(set(targets))
+
+
+def test_the_help_of_the_association_names_every_method() -> None:
+    assert not [method for method in METHODS if method not in SETTINGS["association"].help]
 
 
 def test_settings_of_a_request_are_json_and_complete() -> None:
