@@ -77,6 +77,18 @@ def test_commands_of_the_gallery_exist(site: Any) -> None:
     assert all(picture.file in gallery.section() for picture in gallery.PICTURES)
 
 
+def test_dark_pages_invert_all_pictures_but_those_that_are_dark() -> None:
+    reading = pytest.importorskip("matplotlib.image", reason="needs the extra `plot`")
+    style = (ROOT / "docs/site/pages.css").read_text(encoding="utf-8")
+    corners = {
+        path.name: float(reading.imread(path)[0, 0, :3].mean())
+        for path in (ROOT / "docs/images").glob("*.png")
+    }
+    assert set(corners.values()) <= {1.0} | {item for item in corners.values() if item < 0.2}
+    dark = [name for name, lightness in corners.items() if lightness < 0.2]
+    assert re.findall(r':not\(\[src\$="(.*)"\]\)', style) == dark
+
+
 @pytest.mark.parametrize(
     ("name", "text", "outcome"),
     [
