@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shlex
 from pathlib import Path
@@ -40,10 +41,10 @@ def sensor(kind: str, stamp: int) -> Any:
     return message(header(stamp), 0, 0, [], False, 0, 0, none, True)
 
 
-def bag(folder: Path, *topics: tuple[str, str]) -> Path:
+def bag(folder: Path, *topics: tuple[str, str], estimate: Trajectory = FLIGHT.estimate) -> Path:
     """Write a bag: groundtruth of /mocap and names alike, estimates of other poses, sensors."""
     messages: list[Any] = []
-    truth, estimate = FLIGHT.groundtruth[::20], FLIGHT.estimate
+    truth = FLIGHT.groundtruth[::20]
     for name, kind in topics:
         if kind in (POSE, ODOM):
             is_truth = any(word in name for word in ("truth", "mocap", "vicon"))
@@ -215,11 +216,17 @@ def test_a_gauge_of_the_user_is_kept(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "sensors" not in printed.err
 
 
-@pytest.mark.parametrize("options", [[], ["--lengths", "4"], ["--strict"]])
+@pytest.mark.parametrize(
+    "options", [[], ["--lengths", "4"], ["--strict"], ["--covariance", "message"]]
+)
 def test_the_result_is_that_of_the_repeating_command(
     options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording = bag(tmp_path, TRUTH, ("/vio/odometry", ODOM), ("/okvis/odometry", ODOM), INERTIAL)
+    growth = np.linspace(0.5, 2.0, len(FLIGHT.estimate))
+    covariances = growth[:, None, None] * np.diag([0.01, 0.01, 0.04, 1e-4, 1e-4, 4e-4])
+    estimate = dataclasses.replace(FLIGHT.estimate, covariances=covariances)
+    topics = TRUTH, ("/vio/odometry", ODOM), ("/okvis/odometry", ODOM), INERTIAL
+    recording = bag(tmp_path, *topics, estimate=estimate)
     assert main([str(recording), "--json", str(tmp_path / "one.json"), *options]) == 0
     command = capsys.readouterr().out.partition("repeat: ")[2].splitlines()[0]
     _, *words = shlex.split(command)

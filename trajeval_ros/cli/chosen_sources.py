@@ -70,22 +70,17 @@ def chosen_evaluation(
 
 
 def as_read(
-    read: Mapping[str, Trajectory],
-    sources: Sequence[str],
-    names: Sequence[str],
-    covariances: Sequence[bool],
+    read: Mapping[str, Trajectory], sources: Sequence[str], names: Sequence[str]
 ) -> list[Trajectory]:
-    """Return trajectories of the search as reading them again does."""
-    trajectories = []
-    for source, name, has_covariances in zip(sources, names, covariances, strict=True):
-        trajectory = read[source]
-        reading = dataclasses.replace(trajectory.reading, source=source)
-        trajectory = dataclasses.replace(trajectory, name=name, reading=reading)
-        is_without = trajectory.reading.fixes is None  # fixes always have theirs
-        if is_without and not has_covariances and parse_source(source).is_bag:
-            trajectory = dataclasses.replace(trajectory, covariances=None)
-        trajectories.append(trajectory)
-    return trajectories
+    """Return trajectories of the search as reading them again without covariances does."""
+    return [
+        dataclasses.replace(
+            read[source],
+            name=name,
+            reading=dataclasses.replace(read[source].reading, source=source),
+        )
+        for source, name in zip(sources, names, strict=True)
+    ]
 
 
 def with_reasons(groundtruth: Trajectory, chosen: LikelyEvaluation) -> Trajectory:

@@ -148,8 +148,8 @@ def evaluate(
     flags = [request.reads_covariances] * (len(sources) - 1)
     flags = [request.reads_groundtruth_covariances, *flags]
     is_read = all(source in recorded for source in sources)
-    if is_read and not (strict or request.received or columns or frame_rate):
-        reference, *estimates = as_read(recorded, sources, names, flags)
+    if is_read and not (strict or request.received or columns or frame_rate or any(flags)):
+        reference, *estimates = as_read(recorded, sources, names)
     else:
         reference, *estimates = read_shown(
             sources,

@@ -94,18 +94,19 @@ def describe(
     advance: Advance | None = None,
     hints: TextHints = NO_HINTS,
     read: dict[str, Trajectory] | None = None,
+    covariances: bool = True,
 ) -> Description:
     """Return the contents of a SOURCE; for a bag without a topic, of all its topics.
 
     `advance`: progress callback, called with the amount done and the total. `hints`: columns and
     frame rate of a text file, as the user states them. `read`: receives the trajectories of a bag
-    or file by their SOURCE.
+    or file by their SOURCE. `covariances`: whether to read those of a bag.
     """
     read = {} if read is None else read
     parts = parse_source(source)
     if parts.is_bag and not parts.topic:
         try:
-            return _describe_bag(source, parts.path, advance, read)
+            return _describe_bag(source, parts.path, advance, read, covariances=covariances)
         except OSError as error:
             raise InputError(f"{parts.path} can't be read: {reason_of(error)}") from error
     if parts.is_log and not parts.topic:
@@ -131,7 +132,12 @@ def _describe_log(source: str, path: Path, read: dict[str, Trajectory]) -> Descr
 
 
 def _describe_bag(
-    source: str, path: Path, advance: Advance | None, read: dict[str, Trajectory]
+    source: str,
+    path: Path,
+    advance: Advance | None,
+    read: dict[str, Trajectory],
+    *,
+    covariances: bool,
 ) -> Description:
     """Return the contents of all topics of a bag, and put its trajectories into `read`."""
     from trajeval_ros.io.bags.bag import Bag
@@ -150,7 +156,7 @@ def _describe_bag(
     edges: dict[tuple[str, str, str], EdgeSummary] = {}
     with Bag(path, advance) as bag:
         posed = {
-            topic: PoseReader(bag, topic, covariances=True)
+            topic: PoseReader(bag, topic, covariances=covariances)
             for topic in bag.topics
             if topic.holds_poses and topic.count
         }

@@ -122,7 +122,7 @@ def describe_all(
 ) -> Description:
     """Return the contents of a bag or log, or of all files in a folder.
 
-    `read` receives the trajectories by their SOURCE.
+    `read` receives the trajectories by their SOURCE, from bags without covariances.
 
     Raises:
         InputError: The folder has more sources than a run has.
@@ -131,7 +131,7 @@ def describe_all(
     from trajeval_ros.io.find_sources import find_sources
 
     if not path.is_dir() or holds_bag(path):
-        return describe(str(path), advance=advance, read=read)
+        return describe(str(path), advance=advance, read=read, covariances=False)
     sources = find_sources(path).sources
     if len(sources) > MOST_SOURCES:
         raise InputError(
@@ -141,7 +141,7 @@ def describe_all(
     parts = []
     for place, source in enumerate(sources):
         advance(place, len(sources))
-        parts.append(describe(str(source.path), read=read))
+        parts.append(describe(str(source.path), read=read, covariances=False))
     return Description(
         path,
         tuple(summary for part in parts for summary in part.trajectories),
