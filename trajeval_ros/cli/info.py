@@ -119,13 +119,12 @@ def _list_folder(folder: Path) -> None:
 
 def _row(summary: TrajectorySummary) -> Row:
     """Return a trajectory as a row of the table."""
-    topic = summary.source.rpartition(":")[2]
+    kind = summary.kind.rpartition("/")[2]
     if summary.problem:
-        kind = summary.kind.rpartition("/")[2]
-        return (topic, kind, str(summary.poses), "", "", "", "", "", "none, see below")
+        return (summary.topic, kind, str(summary.poses), "", "", "", "", "", "none, see below")
     return (
-        topic,
-        summary.kind.rpartition("/")[2],
+        summary.topic,
+        kind,
         str(summary.poses),
         f"{summary.rate_hz:.1f}",
         _seconds(summary.first_ns),
@@ -140,9 +139,8 @@ def _details(summary: TrajectorySummary) -> list[Row]:
     """Return a single trajectory as rows of name and value."""
     if summary.problem:
         return [("problem", summary.problem)]
-    topic = summary.source.rpartition(":")[2] if "/msg/" in summary.kind else ""
     rows: list[Row] = [
-        *([("topic", topic)] if topic else []),
+        *([("topic", summary.topic)] if "/msg/" in summary.kind else []),
         ("format", summary.kind),
         *([("columns", summary.columns)] if summary.columns else []),
         ("poses", str(summary.poses)),
@@ -185,12 +183,11 @@ def _seconds(stamp: int) -> str:
 def _print_remarks(terminal: Console, summaries: Sequence[TrajectorySummary]) -> None:
     """Print the remarks that have no column in the table."""
     for summary in summaries:
-        topic = summary.source.rpartition(":")[2]
         remarks = [summary.problem] if summary.problem else list(summary.messages)
         if summary.gaps:
             remarks.append(f"gaps over 0.5 s: {_gaps(summary)}")
         for remark in remarks:
-            terminal.print(f"{topic}: {remark}", soft_wrap=True)
+            terminal.print(f"{summary.topic}: {remark}", soft_wrap=True)
 
 
 def _print_edges(terminal: Console, description: Description) -> None:
@@ -240,8 +237,8 @@ def _print_next_step(terminal: Console, description: Description) -> None:
     for summary in usable:
         system = summary.system
         if system is not None and summary.could_be != "groundtruth":
-            topic = summary.source.rpartition(":")[2]
-            terminal.print(f"{topic}: looks like {system.name}: {system.trap}", soft_wrap=True)
+            text = f"{summary.topic}: looks like {system.name}: {system.trap}"
+            terminal.print(text, soft_wrap=True)
     likely = likely_evaluations(description)
     moving = [edge for edge in description.edges if not edge.is_static]
     if moving and not usable:

@@ -54,13 +54,18 @@ class TrajectorySummary:
     # Remarks of the reader, the quality of fixes, and the number of dropped rows by reason.
     remarks: tuple[Remark, ...] = ()
 
+    system: KnownSystem | None = None  # the system that probably published it
+    problem: str = ""  # reason why the trajectory can't be evaluated, "" if it can
+
     @property
     def messages(self) -> tuple[str, ...]:
         """The sentences of the remarks, except the format."""
         return tuple(remark.text for remark in self.remarks if remark.code not in FORMATS)
 
-    system: KnownSystem | None = None  # the system that probably published it
-    problem: str = ""  # reason why the trajectory can't be evaluated, "" if it can
+    @property
+    def topic(self) -> str:
+        """The topic of the source with its slash, or the name of the file."""
+        return self.source.rpartition(":")[2] if ":" in self.source else Path(self.source).name
 
 
 @dataclass(frozen=True)

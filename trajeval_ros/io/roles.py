@@ -164,7 +164,7 @@ def _omitted(summaries: Sequence[TrajectorySummary]) -> dict[str, str]:
         elif summary.path_length_m < STILL * longest:
             reason = f"moves by {summary.path_length_m:.3g} m in all"
         if reason:
-            topic = _topic(summary.source)
+            topic = summary.topic
             omitted[summary.source] = f"{topic} omitted: {reason}; evaluate it with -e"
     return omitted if len(omitted) < len(estimates) else {}
 
@@ -172,17 +172,12 @@ def _omitted(summaries: Sequence[TrajectorySummary]) -> dict[str, str]:
 def _rank(summary: TrajectorySummary) -> int:
     if summary.fixed:
         return _FIXES
-    return 0 if _PREFERRED.search(f"{_topic(summary.source)} {summary.frame}") else 1
+    return 0 if _PREFERRED.search(f"{summary.topic} {summary.frame}") else 1
 
 
 def _bag(source: str) -> str:
     """Return the bag of a SOURCE, or "" for a file."""
     return source.rpartition(":")[0]
-
-
-def _topic(source: str) -> str:
-    """Return the topic of a SOURCE with its slash, or the name of its file."""
-    return source.rpartition(":")[2] if ":" in source else Path(source).name
 
 
 def _evaluation(
@@ -201,9 +196,9 @@ def _evaluation(
         how = "by its fixes" if truth.fixed else "by its name"
         if truth.could_be != GROUNDTRUTH:
             how = "undecided"
-        reasons.append(f"groundtruth {_topic(truth.source)}: {how}{more}; change it with -g")
+        reasons.append(f"groundtruth {truth.topic}: {how}{more}; change it with -g")
     reasons += [
-        f"estimate {_topic(summary.source)}: not named as groundtruth; change it with -e"
+        f"estimate {summary.topic}: not named as groundtruth; change it with -e"
         for summary in estimates
     ]
     reasons += omitted
@@ -224,7 +219,7 @@ def _evaluation(
 
 def _sensors(estimate: TrajectorySummary, description: Description) -> tuple[str, str]:
     """Return the modality of an estimate and what tells it; two empty texts if nothing does."""
-    topic = _topic(estimate.source)
+    topic = estimate.topic
     if estimate.system is not None and estimate.system.modality:
         return estimate.system.modality, f"{topic} looks like {estimate.system.name}"
     for modality, words in _WORDS:
