@@ -12,7 +12,7 @@ from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.one_stream import OneStream
 
-_BLOCK_S = 20.0  # messages that are taken at a time: more take memory, fewer time
+_BLOCK_S = 60.0  # messages that are taken at a time: more take memory, fewer time
 
 
 def discontinuities(

@@ -49,7 +49,7 @@ from trajeval_ros.metrics.discontinuities.step_kinds import kind_of_step, rotate
 from trajeval_ros.metrics.discontinuities.usual_differences import UsualDifferences
 
 _BURN_IN_S, _BURN_IN_PAIRS = 4.0, 12  # the first pairs are judged in retrospect
-_LEARN_S = 10.0  # time between updates of the limits of usual motion: a shorter one costs time
+_LEARN_S = 20.0  # time between updates of the limits of usual motion: a shorter one costs time
 _CALM_PAIRS = 5  # after a step that stays
 _AFTER_GAP_S = 3.2  # motion after a gap that determines a clock step
 
