@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from trajeval_ros import AssociationRule, Protocol, Trajectory
-from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
+from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses
+from trajeval_ros.geometry.arrays import lengths
 from trajeval_ros.metrics.discontinuities.events import DIVERGED, ESTIMATE, FROZEN, Loss
 
 SECOND = 1_000_000_000

@@ -13,11 +13,10 @@ from trajeval_ros.diagnosis.input_pair import (
     SAMPLE,
     InputPair,
     TimedPoses,
-    lengths,
     other_side,
 )
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, extents
+from trajeval_ros.geometry.arrays import Floats, extents, lengths
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.rotation_fit import best_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS

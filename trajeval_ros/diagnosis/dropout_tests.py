@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Detection, TestResult
-from trajeval_ros.diagnosis.input_pair import FEWEST, TimedPoses, lengths
-from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
+from trajeval_ros.diagnosis.input_pair import FEWEST, TimedPoses
+from trajeval_ros.geometry.arrays import Booleans, Floats, lengths, runs_of
 from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.metrics.statistics import median
 

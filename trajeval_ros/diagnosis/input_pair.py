@@ -109,11 +109,6 @@ class TimedPoses:
         return Between(mix(self.positions, start, end, fraction), quaternions, known)
 
 
-def lengths(vectors: Floats) -> Floats:
-    """Return the lengths (...) of vectors (..., k)."""
-    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
-
-
 def other_side(side: str) -> str:
     """Return the side that is not the given one."""
     return "groundtruth" if side == "estimate" else "estimate"

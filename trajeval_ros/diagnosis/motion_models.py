@@ -32,10 +32,9 @@ from trajeval_ros.diagnosis.hypotheses import (
     ROTATIONS,
     Hypothesis,
 )
-from trajeval_ros.diagnosis.input_pair import lengths
 from trajeval_ros.diagnosis.short_motions import PoseEnds, ShortMotions
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 from trajeval_ros.geometry.rotation_fit import best_rotations
 from trajeval_ros.metrics.statistics import median
 

@@ -31,7 +31,6 @@ from trajeval_ros.diagnosis.input_pair import (
     SHORTEST_S,
     InputPair,
     TimedPoses,
-    lengths,
 )
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores
 from trajeval_ros.diagnosis.motion_parameters import (
@@ -46,6 +45,7 @@ from trajeval_ros.diagnosis.motion_parameters import (
 )
 from trajeval_ros.diagnosis.short_motions import ShortMotions
 from trajeval_ros.diagnosis.world_axes import vertical_axes
+from trajeval_ros.geometry.arrays import lengths
 from trajeval_ros.metrics.statistics import median
 
 _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1  # of the groundtruth to interpolate across

@@ -21,13 +21,13 @@ from trajeval_ros.diagnosis.hypotheses import (
     ROTATIONS,
     TIE,
 )
-from trajeval_ros.diagnosis.input_pair import lengths, other_side
+from trajeval_ros.diagnosis.input_pair import other_side
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores
 from trajeval_ros.diagnosis.motion_parameters import BODY, LEVER, SPREADS, Parameters, log_odds
 from trajeval_ros.diagnosis.short_motions import ShortMotions
 from trajeval_ros.diagnosis.world_axes import mean_direction, world_rotations
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.vertical_axis import nearest_axis
 from trajeval_ros.metrics.statistics import median

@@ -32,6 +32,11 @@ def extents(points: Floats) -> Floats:
     return np.array([np.ptp(column) for column in points.T])
 
 
+def lengths(vectors: Floats) -> Floats:
+    """Return the lengths (...) of vectors (..., k)."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
+
+
 def runs_of(flags: Booleans) -> Indices:
     """Return the begin and the end (excluded) of every run of true flags (N,), (K, 2)."""
     return np.flatnonzero(np.diff(np.pad(flags.astype(np.int8), 1))).reshape(-1, 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps, lengths
 
 
 def travelled_distance(positions: Floats) -> Floats:
@@ -17,8 +17,7 @@ def step_lengths(positions: Floats) -> Floats:
     """Return the distances (N,) between consecutive positions (N + 1, 3), metres."""
 
     def at(begins: Floats, ends: Floats) -> tuple[Floats]:
-        steps = ends - begins
-        return (np.sqrt(np.einsum("ni,ni->n", steps, steps)),)
+        return (lengths(ends - begins),)
 
     return lie.by_blocks(at, positions[:-1], positions[1:])[0]
 

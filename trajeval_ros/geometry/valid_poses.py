@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Booleans, Floats, lengths
 
 # Largest position or velocity, m or m/s. No robot exceeds it, and its square is representable.
 LARGEST = 1e12
@@ -87,8 +87,7 @@ def conflicts_of(stamps: NDArray[np.int64], positions: Floats) -> Conflicts:
 def _lengths(vectors: Floats) -> Floats:
     # Positions that are not finite are refused later, where the states are used.
     with np.errstate(over="ignore", invalid="ignore"):
-        lengths: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    return lengths
+        return lengths(vectors)
 
 
 # Reasons for dropping what is no state of its own; coverage does not count it.

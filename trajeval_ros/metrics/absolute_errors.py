@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.premises import Premise, relies_on
@@ -111,12 +111,6 @@ def angle_yaw_tilt(between: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]
         np.degrees(np.abs(lie.yaw(level))),
         np.degrees(lie.tilt(level)),
     )
-
-
-def lengths(vectors: Floats) -> Floats:
-    """Return the lengths (N,) of vectors (N, 3)."""
-    norms: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    return norms
 
 
 def _differences(groundtruth: Floats | None, estimate: Floats | None) -> Floats | None:

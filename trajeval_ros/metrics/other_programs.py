@@ -18,7 +18,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.arrays import Floats, Indices, lengths
 from trajeval_ros.geometry.source_info import FRAMES_FROM_1
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
@@ -135,8 +135,7 @@ def by_matrices(
     error = back @ true_turn
     cosine = 0.5 * (np.trace(error, axis1=1, axis2=2) - 1.0)
     difference = np.einsum("nij,nj->ni", back, true_step - scale * step)
-    position: Floats = np.sqrt(np.einsum("ni,ni->n", difference, difference))
-    return position, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return lengths(difference), np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _steps(trajectory: Trajectory, starts: Indices, ends: Indices) -> tuple[Floats, Floats]:

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.arrays import Floats, Indices, lengths
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.absolute_errors import angle_yaw_tilt, lengths, rotation_errors
+from trajeval_ros.metrics.absolute_errors import angle_yaw_tilt, rotation_errors
 from trajeval_ros.metrics.other_programs import by_matrices
 from trajeval_ros.metrics.premises import Premise, relies_on
 

@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, lengths
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.online.pairing import PairedStates
 

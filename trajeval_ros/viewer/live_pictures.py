@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps, lengths
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -263,8 +263,7 @@ class EstimatePicture:
     def position_errors(self) -> Floats:
         """The position errors of the run with the present alignment, (N,), metres."""
         _, rows = self.memory.columns()
-        difference = rows[:, :3] - self.aligned
-        return np.asarray(np.sqrt(np.einsum("ni,ni->n", difference, difference)))
+        return lengths(rows[:, :3] - self.aligned)
 
     def colour(self, time: int, scale: ErrorScale) -> None:
         """Colour the path by its errors with the present alignment."""

@@ -12,9 +12,8 @@ import numpy as np
 
 from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.formatting.remarks import Remark
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps, lengths
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.metrics.discontinuities.one_stream import KnownEvent
 from trajeval_ros.watchdog.event_signals import EventSignals
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH

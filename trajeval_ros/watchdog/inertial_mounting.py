@@ -9,10 +9,9 @@ import numpy as np
 
 from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.arrays import Floats, Indices, lengths
 from trajeval_ros.geometry.inertial import rotations_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
-from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.rotations_over_time import between, only_axis
 from trajeval_ros.watchdog.row_buffer import QUATERNION, TIME, window_begins
 

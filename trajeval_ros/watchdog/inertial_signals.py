@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 from trajeval_ros.geometry.inertial import rotations_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
-from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.inertial_mounting import (
     ACCELERATION,
     FARTHEST_S,

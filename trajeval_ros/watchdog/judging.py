@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.metrics.absolute_errors import lengths
+from trajeval_ros.geometry.arrays import Floats, lengths
 
 
 def judged(residuals: Floats, jacobians: Floats, covariance: Floats, floor: float) -> Floats:

@@ -8,10 +8,9 @@ import numpy as np
 
 from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie, so3
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, lengths
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.geometry.so3 import skew
-from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.judging import judged
 from trajeval_ros.watchdog.rotations_over_time import between
 from trajeval_ros.watchdog.row_buffer import (

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 from trajeval_ros.geometry.interpolation import columns_at
-from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.row_buffer import (
     POSITION,
     QUATERNION,

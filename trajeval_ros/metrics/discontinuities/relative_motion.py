@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 
 # Rotation, its products, lever arm, and the matrix and vector of the lever arm.
 BodyState: TypeAlias = tuple[Floats | None, Floats, Floats, Floats, Floats]
@@ -102,11 +102,11 @@ class RelativeMotion:
         """
         d = end[..., GROUNDTRUTH_POSITION] - begin[..., GROUNDTRUTH_POSITION]
         e = self.scale * (end[..., POSITION] - begin[..., POSITION])
-        moved_m = _length(d)
-        lengths_m = np.abs(moved_m - _length(e))
+        moved_m = lengths(d)
+        lengths_m = np.abs(moved_m - lengths(e))
         rotation = self.rotation if rotation is None else rotation
         if not self.oriented:
-            m = lengths_m if rotation is None else _length(d - e @ rotation.T)
+            m = lengths_m if rotation is None else lengths(d - e @ rotation.T)
             return Difference(m, np.zeros_like(m), moved_m, lengths_m)
         rotated, rotated_estimate = _rotations(begin, end)
         if rotation is None:
@@ -122,7 +122,7 @@ class RelativeMotion:
         for pairs, arm in zip((begin, end), arms, strict=True):
             inside = lie.rotate(lie.conjugate(pairs[..., GROUNDTRUTH_QUATERNION]), d)
             estimated = lie.rotate(lie.conjugate(pairs[..., QUATERNION]), e)
-            m = np.minimum(m, _length(inside - estimated @ rotation.T - arm))
+            m = np.minimum(m, lengths(inside - estimated @ rotation.T - arm))
         return Difference(m, deg, moved_m, lengths_m)
 
     def size(self, begin: Floats, end: Floats) -> Size:
@@ -136,7 +136,7 @@ class RelativeMotion:
         """
         d = end[:, GROUNDTRUTH_POSITION] - begin[:, GROUNDTRUTH_POSITION]
         e = end[:, POSITION] - begin[:, POSITION]
-        moved_m, estimate_m = _length(d), _length(e)
+        moved_m, estimate_m = lengths(d), lengths(e)
         if self._fits > _LEAST_FITS:
             usable = self.scale * estimate_m <= _OUTLIER * np.maximum(moved_m, _OUTLIER_M)
             begin, end, d, e = begin[usable], end[usable], d[usable], e[usable]
@@ -192,8 +192,3 @@ def _rotations(begin: Floats, end: Floats) -> list[Floats]:
         lie.multiply(lie.conjugate(begin[..., columns]), end[..., columns])
         for columns in (GROUNDTRUTH_QUATERNION, QUATERNION)
     ]
-
-
-def _length(vectors: Floats) -> Floats:
-    lengths: Floats = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-    return lengths

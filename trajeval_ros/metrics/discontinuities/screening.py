@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps, lengths
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
@@ -40,7 +40,7 @@ def may_have_events(
     true, aligned = pairs.groundtruth, similarity.trajectory(pairs.estimate)
     roots = _roots_of_steps(true.stamps)
     changes = np.diff(true.positions - aligned.positions, axis=0)
-    if _is_unusual(np.sqrt(np.einsum("ni,ni->n", changes, changes)), roots, LEAST_M):
+    if _is_unusual(lengths(changes), roots, LEAST_M):
         return True
     if true.quaternions is None or aligned.quaternions is None:
         return False

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, lengths
 from trajeval_ros.metrics.discontinuities.relative_motion import Size
 
 _ALIASED_RAD = np.pi / 2.0  # rotation within one period whose direction is not certain
@@ -53,7 +53,7 @@ class _Velocities:
         vectors = lie.rotation_vector(lie.multiply(lie.conjugate(some[:-1, 3:]), some[1:, 3:]))
         self.mps = np.diff(some[:, :3], axis=0) / self.seconds
         self.radps = vectors / self.seconds
-        angles = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+        angles = lengths(vectors)
         self.is_clear: Booleans = angles < _ALIASED_RAD
 
     def to(self, rows: Indices) -> tuple[Floats, Floats, Booleans]:
@@ -77,14 +77,14 @@ def stream_motions(
     moved = poses[ends, :3] - poses[begins, :3]
     rotated = lie.multiply(lie.conjugate(poses[begins, 3:]), poses[ends, 3:])
     step_m, rotation = moved, rotated
-    m, deg = _length(moved), np.degrees(lie.angle(rotated))
+    m, deg = lengths(moved), np.degrees(lie.angle(rotated))
     mps, degps = m / seconds, deg / seconds
     may_rest = seconds > longest_s
     m, deg = np.where(may_rest, m, np.inf), np.where(may_rest, deg, np.inf)
     for rows in (begins, ends + 1):
         at_mps, at_radps, known = velocities.to(rows)
         other = moved - at_mps * seconds[:, None]
-        other_m = _length(other)
+        other_m = lengths(other)
         nearer = known & (other_m < m)
         m, step_m = np.where(nearer, other_m, m), np.where(nearer[:, None], other, step_m)
         predicted = lie.from_rotation_vector(at_radps * seconds[:, None])
@@ -135,10 +135,5 @@ def against_earlier(stamps: Floats, poses: Floats, motion: StreamMotion, row: in
     rotated = lie.multiply(lie.conjugate(motion.begin[3:]), motion.end[3:])
     predicted = lie.from_rotation_vector(velocities.radps[0] * seconds)
     rotation = lie.multiply(lie.conjugate(predicted), rotated)
-    size = Size(float(_length(step_m)), float(np.degrees(lie.angle(rotation))))
+    size = Size(float(lengths(step_m)), float(np.degrees(lie.angle(rotation))))
     return replace(motion, size=size, step_m=step_m, rotation=rotation)
-
-
-def _length(vectors: Floats) -> Floats:
-    lengths: Floats = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-    return lengths
