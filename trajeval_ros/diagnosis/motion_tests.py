@@ -69,13 +69,14 @@ def tests_of_motion(inputs: InputPair, *, is_copied: bool) -> list[TestResult]:
         return [TestResult("motions", why_not=f"a side is shorter than {SHORTEST_S:g} s")]
     examined: list[TestResult] = []
     gap_s = max(inputs.max_gap_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
-    clock, has_defects = Clock(), False
+    clock, has_defects, is_held = Clock(), False, False
     if inputs.by_time:
         gap_s = min(gap_s, _MOST_GAP_S)
         is_odometry = inputs.estimate.reading.format.endswith("/Odometry")
         defects = groundtruth_defects(groundtruth, estimate, inputs.max_gap_s)
         examined = [defects, rhythm(groundtruth, estimate, is_odometry=is_odometry)]
         has_defects = bool(defects.seen)
+        is_held = any(seen.cause == "groundtruth_held" for seen in defects.seen)
         if has_defects:
             groundtruth = without_defects(groundtruth)
         clock = Clock.between(groundtruth, estimate, searches_rate=not (has_defects or is_copied))
@@ -84,7 +85,7 @@ def tests_of_motion(inputs: InputPair, *, is_copied: bool) -> list[TestResult]:
     if len(motions) >= FEWEST:
         examined.append(velocities(groundtruth, estimate.shifted(clock.offset_s)))
     sides = groundtruth, estimate
-    comparison = _Comparison(inputs, *sides, motions, clock, gap_s, has_defects)
+    comparison = _Comparison(inputs, *sides, motions, clock, gap_s, has_defects, is_held)
     return [*examined, *comparison.results()]
 
 
@@ -99,6 +100,7 @@ class _Comparison:
     clock: Clock
     max_gap_s: float
     has_defects: bool  # of the groundtruth, which shift the motions by a part of a second
+    is_held: bool  # the groundtruth's poses are repeated, so that no rotation fits exactly
 
     def results(self) -> list[TestResult]:
         """Return the results of all tests."""
@@ -114,7 +116,7 @@ class _Comparison:
         oriented = self.motions.has_orientations
         true_rotations = lengths(scores.read(HYPOTHESES[0]).truth.motions[0])
         rotates = oriented and median(true_rotations) > _AT_REST_RAD
-        if rotates and self._may_be_euler(scores, best):
+        if rotates and not self.is_held and self._may_be_euler(scores, best):
             models += scores.likeliest(EULER_HYPOTHESES)
             best = _best(models)
         related = max(best.log_likelihood, unrelated.positions) - unrelated.motions
