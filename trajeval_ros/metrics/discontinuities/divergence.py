@@ -37,8 +37,8 @@ _AGREES_AGAIN, _AGREES_M = 6, 0.5  # displacements that end a divergence, and th
 
 # Steps are columns (15, n): time in seconds; displacements of groundtruth and of estimate, in
 # their frames and in their bodies, and their lengths.
-_TIME_S, _GROUNDTRUTH, _GROUNDTRUTH_IN_BODY, _GROUNDTRUTH_M = 0, slice(1, 4), slice(4, 7), 7
-_ESTIMATE, _ESTIMATE_IN_BODY, _ESTIMATE_M, _WIDTH = slice(8, 11), slice(11, 14), 14, 15
+_TIME_S, _GROUNDTRUTH, _GROUNDTRUTH_M = 0, slice(1, 7), 7
+_ESTIMATE, _ESTIMATE_M, _WIDTH = slice(8, 14), 14, 15
 _POSITIONS = [0, 1, 2, 7, 8, 9]  # columns of two poses
 
 
@@ -185,9 +185,8 @@ class Divergence:
         Without orientations, differences of lengths take the place of those in the bodies.
         """
         assert self._rotations is not None
-        frames, bodies = self._scale * self._rotations
-        apart_m = _lengths(frames @ steps[_ESTIMATE] - steps[_GROUNDTRUTH])
-        in_body_m = _lengths(bodies @ steps[_ESTIMATE_IN_BODY] - steps[_GROUNDTRUTH_IN_BODY])
+        moved, true = steps[_ESTIMATE].reshape(2, 3, -1), steps[_GROUNDTRUTH].reshape(2, 3, -1)
+        apart_m, in_body_m = _lengths(self._scale * self._rotations @ moved - true)
         lengths_m = np.abs(self._scale * steps[_ESTIMATE_M] - steps[_GROUNDTRUTH_M])
         unit_m = steps[_GROUNDTRUTH_M] + _NOISE_MPS * steps[_TIME_S]
         return apart_m / unit_m, np.where(np.isnan(in_body_m), lengths_m, in_body_m) / unit_m
@@ -208,10 +207,9 @@ class Divergence:
         moving_s = float(time_s[groundtruth_m > _MOVES_MPS * time_s].sum())
         kept = math.exp(-moving_s / _MEMORY_S)
         added = groundtruth_m, time_s, groundtruth_m**2, groundtruth_m * estimate_m, estimate_m**2
-        self._sums = kept * self._sums + np.array([item.sum() for item in added])
-        products = np.empty((2, 3, 3))
-        products[0] = steps[_GROUNDTRUTH] @ steps[_ESTIMATE].T
-        products[1] = steps[_GROUNDTRUTH_IN_BODY] @ steps[_ESTIMATE_IN_BODY].T
+        self._sums = kept * self._sums + np.stack(added).sum(axis=1)
+        moved, true = steps[_ESTIMATE].reshape(2, 3, -1), steps[_GROUNDTRUTH].reshape(2, 3, -1)
+        products = true @ moved.swapaxes(1, 2)
         if math.isnan(products[1, 0, 0]):  # without orientations
             products[1] = 0.0
         self._products = kept * self._products + products
@@ -233,8 +231,8 @@ class Divergence:
 
 
 def _lengths(vectors: Floats) -> Floats:
-    """Return the lengths (n,) of vectors (3, n)."""
-    return np.asarray(np.sqrt((vectors * vectors).sum(axis=0)))
+    """Return the lengths (..., n) of vectors (..., 3, n)."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-2)))
 
 
 def _accumulated(total: float, more: float) -> float:

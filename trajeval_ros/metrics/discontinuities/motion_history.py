@@ -113,10 +113,7 @@ class MotionHistory:
 
     def _learn_usual(self, begin: Floats, end: Floats, numbers: Indices) -> None:
         difference = self._motion.between(begin, end)
-        for number in range(1, len(LAGS) + 1):
-            rows = np.flatnonzero(numbers == number)
-            if len(rows):
-                self.usual.add(number, difference.m[rows], difference.deg[rows])
+        self.usual.add(numbers, difference.m, difference.deg)
 
     def _learn_again(self) -> None:
         """Replace differences of lengths by those of vectors, once the rotation is known."""

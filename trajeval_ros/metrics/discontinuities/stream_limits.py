@@ -68,9 +68,7 @@ class StreamLimits:
         numbers = 1 + np.flatnonzero(known) // len(marks)
         motions = stream_motions(stamps, poses, begins[known], ends[known], 0.0)
         moves = _moves(motions)
-        for number in range(1, len(LAGS) + 1):
-            rows = moves & (numbers == number)
-            self._usual.add(number, motions.m[rows], motions.deg[rows])
+        self._usual.add(numbers[moves], motions.m[moves], motions.deg[moves])
 
 
 def _moves(motions: StreamMotions) -> Booleans:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.metrics.discontinuities.relative_motion import CELL_S
 
 LAGS = np.array([1, 2, 4, 8, 16, 32, 64])  # cells between learned pairs, up to 32 s
@@ -31,11 +31,14 @@ class UsualDifferences:
         self._table: tuple[Floats, Floats] | None = None
         self.clear()
 
-    def add(self, number: int, m: Floats, deg: Floats) -> None:
-        """Learn N differences over a lag by its number, metres and deg."""
-        rows = (self._counts[number] + np.arange(len(m))) % _KEPT
-        self._samples[number, 0, rows], self._samples[number, 1, rows] = m, deg
-        self._counts[number] += len(m)
+    def add(self, numbers: Indices | int, m: Floats, deg: Floats) -> None:
+        """Learn N differences, metres and deg, over lags by their numbers (N,), or over one."""
+        numbers = np.broadcast_to(numbers, m.shape)
+        is_of_lag = numbers[:, None] == np.arange(len(self._counts))
+        counts = self._counts + np.cumsum(is_of_lag, axis=0)  # with this difference
+        rows = (counts[np.arange(len(m)), numbers] - 1) % _KEPT
+        self._samples[numbers, :, rows] = np.column_stack([m, deg])
+        self._counts += is_of_lag.sum(axis=0)
         self._table = None
 
     def clear(self) -> None:
