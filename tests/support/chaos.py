@@ -31,9 +31,13 @@ from live_runs import Live, messages
 from paths import ROOT
 from ros_bags import ODOM
 
+from trajeval_ros.io.live.state_file import SUFFIX, read_states
+
 ENDINGS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 PATIENCE_S = 600.0
 _LAST_WRITING_S = 60.0
+# Of a live run's groundtruth or estimate: fewer may not suffice for an alignment.
+FEWEST_POSES = 10
 # What no two runs write alike: a recording's id, and when inputs were looked at.
 OWN = {"run.rrd", "inputs.json"}
 COMPLAINTS = ("Traceback", "Exception ignored", "Fatal Python error")
@@ -134,9 +138,8 @@ class Campaign:
         command = self.verb.command(folder, setting) if then is None else then(folder)
         log = self.work / "log"
         status = self._start(command, log).wait(PATIENCE_S)
-        text = log.read_text(errors="replace")
-        is_empty = then is not None and ("no live run" in text or "no pairs of" in text)
-        if status and not is_empty:
+        if status and (then is None or not _is_short(folder / self.verb.output)):
+            text = log.read_text(errors="replace")
             self._fault(f"the next start ends with {status}: {text[-300:]}")
 
     def _kill(self, folder: Path, setting: int, took_s: float) -> None:
@@ -230,6 +233,12 @@ def _same(outcome: Listing, whole: Listing) -> bool:
     return outcome.keys() - OWN == whole.keys() - OWN and all(
         outcome[name] == digest for name, digest in whole.items() if name not in OWN
     )
+
+
+def _is_short(folder: Path) -> bool:
+    """Whether a live run ended before there were enough poses to evaluate."""
+    counts = [len(read_states(path).states) for path in folder.glob(f"*{SUFFIX}")]
+    return len(counts) < 2 or min(counts) < FEWEST_POSES
 
 
 def verbs(work: Path) -> list[Verb]:
