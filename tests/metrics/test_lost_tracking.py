@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from state_rows import states
 from strategies import make_element
@@ -95,9 +95,12 @@ def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float
     """Return the loss, and the times of its warning and of its error after the onset, seconds."""
     pairs, tracking, result = PAIRS[pairs_of], TrackingLosses(), dict[bool, float]()
     stamps, truth = pairs.estimate.stamps, rows(pairs.groundtruth)
+    assert tracking.is_clear
+    clear = 0
     for row in range(len(stamps)):
         tracking.add(*(column[row : row + 1] for column in (stamps, truth, poses)))
         loss = tracking.present
+        clear = row if tracking.is_clear else clear
         if loss is not None:
             after_s = float(stamps[row] - stamps[begin]) / NANOSECONDS
             assert after_s > 0.0
@@ -105,6 +108,8 @@ def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float
                 result.setdefault(level, after_s)
     loss = tracking.present
     assert loss is not None
+    assert begin - 1 <= clear < begin + 20
+    assert loss.t_ns >= stamps[clear] - NANOSECONDS // 2
     return loss, result[False], result[True]
 
 
@@ -172,6 +177,26 @@ def test_an_outlier_of_the_groundtruth_at_rest_is_no_motion(
     assert batches(stamps, truth, estimate, [cut]).events == []
     truth[row + 1, 0] = metres  # two in succession are a motion
     assert len(batches(stamps, truth, estimate, [cut]).events) == 1
+
+
+@given(cut=st.integers(1, 599), more_ns=st.integers(0, NANOSECONDS))
+@example(cut=450, more_ns=450_000_000)
+def test_long_steps_are_no_frozen_time(cut: int, more_ns: int) -> None:
+    stamps = np.arange(600) * NANOSECONDS // 20
+    for row in (100, 450):
+        stamps[row:] += more_ns
+    truth = states(
+        np.outer(0.05 * np.arange(600), [1.0, 0.0, 0.0]), np.tile([0, 0, 0, 1.0], (600, 1))
+    )
+    estimate = truth.copy()
+    estimate[300:500] = truth[300]
+    tracking = TrackingLosses(diverging=False, max_gap_s=0.5)
+    for part in (slice(0, cut), slice(cut, None)):
+        tracking.add(stamps[part], truth[part], estimate[part])
+    (loss,) = tracking.events
+    step_ns = NANOSECONDS // 20 + more_ns
+    expected_ns = loss.end_ns - loss.t_ns - (step_ns if step_ns > NANOSECONDS // 2 else 0)
+    assert tracking.frozen_ns == pytest.approx(expected_ns, abs=10)
 
 
 @pytest.mark.parametrize("count", [200, 600])

@@ -54,7 +54,7 @@ class Divergence:
     def __init__(self) -> None:
         self.events: list[Loss] = []
         self._first: int | None = None  # stamp
-        self._cell = 0  # of the newest used pair
+        self._cell = -1  # of the newest used pair
         # The newest used pair, if any: stamp (1,), poses of groundtruth and estimate (1, 14).
         self._newest: tuple[Stamps, Floats] = (np.empty(0, dtype=np.int64), np.empty((0, 14)))
         self._chunk: Floats = np.empty((_WIDTH, 0))
@@ -68,10 +68,7 @@ class Divergence:
         self._scale = self._first_scale = 0.0  # metres per unit of the estimate
         self._limit = _DRIFT[1]
         self._agreed = self._runs_away = False
-        self._sum = self._of_body = 0.0
-        self._before = 0.0
-        self._begin_ns, self._since_m, self._moved_m = 0, 0.0, 0.0
-        self._agreeing, self._agreeing_m = 0, 0.0
+        self._sum = 0.0
         self._ran_away = False
 
     @property
@@ -88,7 +85,7 @@ class Divergence:
         if not len(stamps):
             return
         if self._first is None:
-            self._first, self._cell = int(stamps[0]), -1
+            self._first = int(stamps[0])
         cells = (stamps - self._first) // _STEP_NS
         rows = np.flatnonzero(np.diff(cells, prepend=self._cell) > 0)
         self._cell = int(cells[-1])

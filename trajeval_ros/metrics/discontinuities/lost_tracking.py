@@ -48,6 +48,7 @@ class TrackingLosses:
         self._moved_m = MOVED_OF_FIXES_M if of_fixes else MOVED_M
         self._streams: dict[str, SidePoses] = {}
         self._zero_ns = self._newest_ns = 0
+        self._is_settled = True  # whether no position is repeated that may become a loss
         self._gaps: list[tuple[int, int]] = []  # long steps, while a position is repeated
         self._frozen: list[Event] = []  # poses and positions that overlap one that lasts
         self._closed_ns = 0  # time of the other ones
@@ -81,7 +82,8 @@ class TrackingLosses:
         is_gap = stamps - before > self._max_gap_ns
         self._gaps += zip(before[is_gap].tolist(), stamps[is_gap].tolist(), strict=True)
         self._newest_ns = int(stamps[-1])
-        if self._parts.settled_until_s(ESTIMATE) >= seconds[-1]:
+        self._is_settled = bool(self._parts.settled_until_s(ESTIMATE) >= seconds[-1])
+        if self._is_settled:
             self._closed_ns += self._lasted_ns()
             self._frozen, self._gaps = [], []
 
@@ -99,10 +101,8 @@ class TrackingLosses:
 
     @property
     def is_clear(self) -> bool:
-        """Whether a loss that is detected later will begin at the newest pair or after it."""
-        newest_s = (self._newest_ns - self._zero_ns) / NANOSECONDS
-        is_known = not self._streams or self._parts.settled_until_s(ESTIMATE) >= newest_s
-        return is_known and (self._divergence is None or self._divergence.is_clear)
+        """Whether a loss detected later will begin at most 0.5 s before the newest pair."""
+        return self._is_settled and (self._divergence is None or self._divergence.is_clear)
 
     @property
     def frozen_ns(self) -> int:
