@@ -308,6 +308,18 @@ def test_a_late_groundtruth_state_adds_no_path() -> None:
     assert buffer.groundtruth_counts.dropped == {"too_late": 400}
 
 
+def test_a_groundtruth_state_that_comes_after_its_use_is_counted_and_kept() -> None:
+    buffer = Pairing(max_gap_s=5.0)
+    for groundtruth_s in ([0.0, 1.0, 3.0, 4.0], [2.0], [2.5], [3.5]):
+        stamps = (SECOND * np.array(groundtruth_s)).astype(np.int64)
+        buffer.add_groundtruth(trajectory(stamps, states(np.zeros((len(stamps), 3)))))
+        buffer.add_estimate(trajectory(np.array([5 * SECOND // 2]), states(np.zeros((1, 3)))))
+        buffer.made()
+    assert buffer.groundtruth_counts.dropped == {"after_use": 2}
+    assert buffer.groundtruth_count == 7
+    assert buffer.dropped == {"duplicate_stamp": 3}
+
+
 def test_states_that_are_no_poses_are_counted_by_reason() -> None:
     evaluator = OnlineEvaluator()
     stamps = np.arange(4, dtype=np.int64) * SECOND // 10

@@ -34,13 +34,10 @@ def evaluation() -> Evaluation:
 def test_fixes_are_coloured_by_status_within_their_ellipses() -> None:
     result = evaluation()
     [axes] = draw(result, "top").axes
-    dots = {
-        str(line.get_label()): len(np.asarray(line.get_xdata()))
-        for line in axes.get_lines()
-        if "fixes" in str(line.get_label())
-    }
+    lines = [line for line in axes.get_lines() if "fixes" in str(line.get_label())]
+    assert len({line.get_color() for line in lines}) == 2
     count = len(result.groundtruth)
-    assert dots == {
+    assert {str(line.get_label()): len(np.asarray(line.get_xdata())) for line in lines} == {
         "fixes of status 0 (GNSS alone), 95 %": 10,
         "fixes of status 2 (ground-based), 95 %": count - 10,
     }

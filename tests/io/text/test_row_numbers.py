@@ -83,6 +83,28 @@ def test_whole_numbers_in_equal_steps_count_the_rows_of_a_file_of_times(
         assert result.stamps.tolist() == expected
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "row_of_0"),
+    [(0, 8, 0), (0, 9, None), (1, 9, -1), (3, 9, -1), (2, 8, 0), (2, 10, None), (1, 8, "1 or 0")],
+)
+def test_frames_are_counted_from_1_if_the_last_one_is_the_number_of_times(
+    tmp_path: Path, first: int, last: int, row_of_0: int | str | None
+) -> None:
+    (tmp_path / "times.txt").write_text("".join(f"{100 + row}.5\n" for row in range(9)))
+    numbers = range(first, last + 1)
+    rows = [f"{number} {number} 0 0 0 0 0 1" for number in numbers]
+    if row_of_0 == "1 or 0":
+        with pytest.raises(InputError, match=r"start at 1, and .*times.txt has 9 times"):
+            read(tmp_path / "x.txt", *rows)
+        return
+    result = read(tmp_path / "x.txt", *rows)
+    assert ("frame numbers start at 1" in text(result)) == (row_of_0 == -1)
+    assert ("times.txt ignored: it has 9 rows" in text(result)) == (row_of_0 is None)
+    if isinstance(row_of_0, int):
+        expected = [100_500_000_000 + (number + row_of_0) * SECOND for number in numbers]
+        assert result.stamps.tolist() == expected
+
+
 @pytest.mark.parametrize("number", ["-1", "1.5"])
 def test_frame_numbers_are_whole(tmp_path: Path, number: str) -> None:
     with pytest.raises(InputError, match=r"row 2 has no frame number in column 1"):
