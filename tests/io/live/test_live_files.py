@@ -24,7 +24,6 @@ KINDS = {
     b"ONE_": np.dtype([("stamp", "<i8"), ("value", "<f8", 2)]),
     b"TWO_": np.dtype([("stamp", "<i8")]),
 }
-WAITING = chunk_file._MOST_WAITING
 
 
 @settings(max_examples=20)
@@ -66,7 +65,6 @@ def test_tables_of_all_kinds_are_read_as_written(
 
 @pytest.mark.parametrize("more", [0, 1])
 def test_a_chunk_waits_if_there_is_memory_for_it(tmp_path: Path, more: int) -> None:
-    assert WAITING == 64 * 1024 * 1024
     writer = ChunkWriter(tmp_path / "x", KINDS, {"format": "tables/1"})
     with mock.patch.object(chunk_file, "_MOST_WAITING", 16 + 80 + 8 * 3):
         assert writer.add(b"TWO_", np.zeros(10, dtype=np.int64))

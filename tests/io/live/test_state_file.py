@@ -270,16 +270,6 @@ def test_a_disk_that_is_full_from_the_start_is_one_sentence(
         StateWriter(tmp_path / "never.states", DESCRIPTION)
 
 
-def test_64_mib_wait_for_a_disk(tmp_path: Path) -> None:
-    """Beyond that, chunks are lost, as the evaluator's memory is bounded."""
-    writer = chunk_file.ChunkWriter(tmp_path / "x", {b"ROWS": np.dtype([("n", "u1")])}, {})
-    half = np.zeros(1 << 25, dtype=np.uint8)
-    assert writer.add(b"ROWS", half)
-    assert writer.add(b"ROWS", half[:-100])
-    assert not writer.add(b"ROWS", half[:101])
-    writer.close()
-
-
 def test_covariances_and_receptions_are_kept_in_order(tmp_path: Path) -> None:
     writer = StateWriter(tmp_path / "x.states", DESCRIPTION)
     random = np.random.default_rng(1)
