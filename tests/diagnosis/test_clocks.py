@@ -119,12 +119,14 @@ def test_parts_of_one_clock_agree_and_those_of_two_rates_do_not() -> None:
     assert odds[1] > 12.0
 
 
-@pytest.mark.parametrize("part", [slice(900), slice(1000, 1500)])
-def test_a_part_without_groundtruth_has_no_offset(part: slice) -> None:
+@pytest.mark.parametrize(
+    ("part", "ppm"), [(slice(900), 0), (slice(1000, 1500), 0), (slice(800, None), 20_000)]
+)
+def test_parts_without_groundtruth_have_no_offset(part: slice, ppm: int) -> None:
     poses = irregular(span_s=120.0)
-    rates = rates_of_both(poses[part], poses[200:2200].shifted(0.4))
+    rates = rates_of_both(poses[part], poses[200:2200].shifted(0.4, 1e-6 * ppm))
     match = ClockMatch.between(*rates)
     assert match is not None
     gain, factor = offsets_of_parts(*rates, match)
-    assert gain < 0.0
-    assert factor == 1.0
+    assert (gain < 0.0) == (ppm == 0)
+    assert factor == pytest.approx(1.0 / (1.0 + 1e-6 * ppm), abs=2e-3)
