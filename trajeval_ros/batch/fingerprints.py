@@ -11,7 +11,7 @@ from typing import Any
 from trajeval_ros.batch.patterns import is_url, split_topic
 from trajeval_ros.batch.remote_files import open_store
 from trajeval_ros.exceptions import InputError, reason_of
-from trajeval_ros.io.json_file import json_text, mapping_in
+from trajeval_ros.io.json_file import json_text, mapping_in_file
 from trajeval_ros.io.sources import parse_source
 from trajeval_ros.io.text.numpy_files import files_of_times
 from trajeval_ros.io.writing import write_text
@@ -33,7 +33,7 @@ class Fingerprints:
         self._changed = False
         self._saved_at = time.monotonic()
         with contextlib.suppress(OSError):  # without stored hashes, all files are read
-            self._known = mapping_in(memory.read_bytes()) or {}
+            self._known = mapping_in_file(memory) or {}
 
     def of(self, source: str) -> str:
         """Return the sha256 of the bytes and the topic of a SOURCE."""
@@ -84,14 +84,20 @@ class Fingerprints:
         known = self._known.get(name)
         if known and known[:-1] == now:
             return str(known[-1])
-        with path.open("rb") as file:
-            digest = hashlib.sha256()
-            while block := file.read(1 << 20):
-                digest.update(block)
+        digest = hash_of_file(path)
         if time.time_ns() - changed > _SETTLED_NS:
-            self._known[name] = [*now, digest.hexdigest()]
+            self._known[name] = [*now, digest]
             self._changed = True
-        return digest.hexdigest()
+        return digest
+
+
+def hash_of_file(path: Path) -> str:
+    """Return the sha256 of a file of any size."""
+    with path.open("rb") as file:
+        digest = hashlib.sha256()
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def _remote_state(url: str) -> str:

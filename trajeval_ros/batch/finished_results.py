@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.comparison import Progress
+from trajeval_ros.batch.fingerprints import hash_of_file
 from trajeval_ros.batch.finished_comparison import (
     RESULT,
     FinishedComparison,
@@ -28,7 +29,7 @@ from trajeval_ros.batch.results_table import require_types
 from trajeval_ros.batch.worker import columns_to_draw
 from trajeval_ros.exceptions import InputError, TrajevalError, reason_of
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.io.json_file import mapping_in, require_schema
+from trajeval_ros.io.json_file import mapping_in_file, require_schema
 from trajeval_ros.io.npz_file import read_arrays
 from trajeval_ros.io.results.error_archive import ARCHIVE
 from trajeval_ros.io.results.result_json import SCHEMA
@@ -148,7 +149,7 @@ def _damage_refused(what: str) -> Iterator[None]:
 def _read(given: str, folder: Path) -> Iterator[_Result]:
     path = folder / RESULT
     try:
-        content = mapping_in(path.read_bytes())
+        content = mapping_in_file(path)
     except OSError as error:
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     advice, schema = "evaluate the run again", (content or {}).get("schema")
@@ -219,7 +220,7 @@ def _in_order(finished: dict[tuple[str, str], FinishedRun]) -> Iterator[Finished
 def _key(result: _Result, name: tuple[str, str]) -> str:
     digest = hashlib.sha256("\n".join((*name, result.name)).encode())
     for file in (RESULT, ARCHIVE):
-        digest.update(hashlib.sha256((result.folder / file).read_bytes()).digest())
+        digest.update(bytes.fromhex(hash_of_file(result.folder / file)))
     return digest.hexdigest()[:32]
 
 

@@ -14,6 +14,8 @@ from typing import Any
 
 from trajeval_ros.exceptions import InputError
 
+_LARGEST_FILE = 1 << 25  # bytes; JSON takes up to 20 times of them in memory
+
 
 def json_text(value: Mapping[str, Any], indent: int | None = None) -> str:
     """Return a mapping as JSON text; with an indent, the text ends in a line break.
@@ -35,6 +37,12 @@ def mapping_in(text: str | bytes) -> dict[str, Any] | None:
     except (ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None
+
+
+def mapping_in_file(path: Path) -> dict[str, Any] | None:
+    """Return the mapping in a file; None as for `mapping_in`, and if it has more than 32 MiB."""
+    with path.open("rb") as file:
+        return mapping_in(file.read(_LARGEST_FILE))
 
 
 def _float(digits: str) -> float:
