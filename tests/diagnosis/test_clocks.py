@@ -74,13 +74,6 @@ def test_the_offset_is_where_rates_correlate(offset_s: float, seed: int) -> None
     assert (match.as_stamped > 0.9) == (abs(offset_s) < 0.1) or abs(offset_s) < 0.3
 
 
-@pytest.mark.parametrize(("span_s", "is_compared"), [(9.0, True), (7.5, False)])
-def test_eight_seconds_of_common_time_are_needed(span_s: float, *, is_compared: bool) -> None:
-    poses = irregular(span_s=20.0)
-    part = poses[: round(span_s / 0.05)]
-    assert (ClockMatch.between(*rates_of_both(poses, part)) is not None) == is_compared
-
-
 def test_one_side_may_be_shorter_than_a_cell_of_the_other() -> None:
     """A run of three hours by one wrong timestamp has cells of three seconds."""
     poses = irregular(span_s=2.0)

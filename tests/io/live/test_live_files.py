@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.fix_selection import fixes_of_rows
-from trajeval_ros.io.live import chunk_file
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
 
@@ -61,17 +60,6 @@ def test_tables_of_all_kinds_are_read_as_written(
     assert result.told == sum(rows > 0 for _, rows in chunks[: texts[-1] if texts else 0])
     with pytest.raises(InputError, match="tables has schema tables/1"):
         read_chunks(path, KINDS, "tables/2", "table")
-
-
-@pytest.mark.parametrize("more", [0, 1])
-def test_a_chunk_waits_if_there_is_memory_for_it(tmp_path: Path, more: int) -> None:
-    writer = ChunkWriter(tmp_path / "x", KINDS, {"format": "tables/1"})
-    with mock.patch.object(chunk_file, "_MOST_WAITING", 16 + 80 + 8 * 3):
-        assert writer.add(b"TWO_", np.zeros(10, dtype=np.int64))
-        assert writer.add(b"TWO_", np.zeros(3 + more, dtype=np.int64)) == (not more)
-    writer.close()
-    result = read_chunks(tmp_path / "x", KINDS, "tables/1", "table").rows
-    assert sum(map(len, result)) == (10 if more else 13)
 
 
 def test_a_text_longer_than_that_of_any_run_ends_a_file(tmp_path: Path) -> None:
