@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.discontinuities import events as kinds
-from trajeval_ros.metrics.discontinuities.clock_by_motion import clock_by_motion
+from trajeval_ros.metrics.discontinuities.clock_steps import ClockSteps
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.frozen_parts import FrozenParts
-from trajeval_ros.metrics.discontinuities.open_step import PairStep
 from trajeval_ros.metrics.discontinuities.pairs import PairSource
 from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import RelativeMotion
-from trajeval_ros.metrics.discontinuities.stamp_steps import StampStep
 from trajeval_ros.metrics.discontinuities.step_search import StepSearch
 
 
@@ -45,7 +42,7 @@ class Discontinuities:
         self._motion = RelativeMotion(oriented=oriented)
         self._steps: StepSearch | None = None  # None until the rates are known
         self._frozen = FrozenParts(dict(zip(SIDES, self._streams, strict=True)))
-        self._zero_ns: int | None = None
+        self._clocks = ClockSteps(self._source, self._motion, self.events)
 
     @property
     def frozen(self) -> list[Event]:
@@ -60,12 +57,12 @@ class Discontinuities:
             len(stream) and stream.newest_s > stream.stamps[-1] for stream in self._streams
         )
         if self._steps is not None and self._steps.open is not None:
-            return self._ns(self._steps.open.begin[0])
+            return self._clocks.ns(self._steps.open.begin[0])
         if is_repeated and len(newest_s) == len(self._streams):
-            return self._ns(min(newest_s))
+            return self._clocks.ns(min(newest_s))
         if self._steps is None or self._steps.previous is None:
             return None
-        return self._ns(self._steps.previous[0])
+        return self._clocks.ns(self._steps.previous[0])
 
     def add(
         self, side: str, stamps: Stamps, poses: Floats, received: Stamps | None = None
@@ -80,15 +77,15 @@ class Discontinuities:
         """
         if not len(stamps):
             return
-        if self._zero_ns is None:
-            self._zero_ns = int(stamps[0])
-        number = SIDES.index(side)
-        seconds = (stamps - self._zero_ns) / NANOSECONDS
-        times = None if received is None else (received - self._zero_ns) / NANOSECONDS
+        if self._clocks.zero_ns is None:
+            self._clocks.zero_ns = int(stamps[0])
+        number, zero_ns = SIDES.index(side), self._clocks.zero_ns
+        seconds = (stamps - zero_ns) / NANOSECONDS
+        times = None if received is None else (received - zero_ns) / NANOSECONDS
         stream = self._streams[number]
         corrected, rows, steps = stream.clock.take(seconds, times, poses)
         for step in steps:
-            self._add_clock_step(number, step)
+            self._clocks.add(number, step)
         stream.store(corrected, rows)
         self._advance()
 
@@ -97,7 +94,7 @@ class Discontinuities:
         for number, stream in enumerate(self._streams):
             corrected, rows, steps = stream.clock.close()
             for step in steps:
-                self._add_clock_step(number, step)
+                self._clocks.add(number, step)
             stream.store(corrected, rows)
         self._advance(at_end=True)
         if self._steps is not None:
@@ -109,49 +106,12 @@ class Discontinuities:
         if self._source.periods is None:
             if not self._source.begin(at_end=at_end):
                 return
-            self._steps = StepSearch(
-                self._source, self._motion, self.events, self._ns, self._correct_clock
-            )
+            self._steps = StepSearch(self._source, self._motion, self.events, self._clocks)
         assert self._steps is not None
         while self._steps.take(self._source.new_pairs()):
             pass  # a clock step was corrected: pair again
-        self.events += (event for event, _ in self._frozen.advance(self._ns, self._motion.scale))
+        self.events += (
+            event for event, _ in self._frozen.advance(self._clocks.ns, self._motion.scale)
+        )
         step = self._steps.open
         self._source.drop_old(None if step is None else float(step.begin[0]))
-
-    def _correct_clock(self, step: PairStep, limit_m: float) -> bool:
-        """Correct a forward clock step in a gap, which only the motion shows."""
-        assert self._source.periods is not None
-        before_s, after_s = float(step.begin[0]), float(step.after[0])
-        for number in (1, 0):
-            streams = self._streams[number], self._streams[1 - number]
-            period_s = self._source.periods[number]
-            matched = clock_by_motion(
-                *streams, number, before_s, after_s, period_s, self._motion, limit_m
-            )
-            if matched is None:
-                continue
-            size_s, row = matched
-            self._streams[number].shift_from(row, size_s)
-            self._add_clock_step(number, StampStep(before_s, size_s, is_sure=False))
-            self._source.rewind(before_s)
-            return True
-        return False
-
-    def _add_clock_step(self, number: int, step: StampStep) -> None:
-        at_ns, size_s = self._ns(step.at_s), step.size_s
-        for event in self.events[-4:]:
-            is_other = event.kind == kinds.CLOCK_STEP and event.side == SIDES[1 - number]
-            is_alike = abs(event.s - size_s) < 0.1 * abs(size_s) + 0.05
-            apart_s = abs(event.t_ns - at_ns) / NANOSECONDS
-            if is_other and is_alike and apart_s < 1.0 + abs(size_s):
-                event.side, event.t_ns = kinds.BOTH, max(event.t_ns, at_ns)
-                event.end_ns = event.t_ns
-                return
-        certainty = "sure" if step.is_sure else "likely"
-        self.events.append(
-            Event(kinds.CLOCK_STEP, SIDES[number], at_ns, at_ns, s=size_s, certainty=certainty)
-        )
-
-    def _ns(self, seconds: float) -> int:
-        return (self._zero_ns or 0) + round(float(seconds) * NANOSECONDS)

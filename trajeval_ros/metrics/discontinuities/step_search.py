@@ -8,13 +8,13 @@ velocity changes little there is exonerated, and the other one is guilty.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities import events as kinds
+from trajeval_ros.metrics.discontinuities.clock_steps import ClockSteps
 from trajeval_ros.metrics.discontinuities.events import SIDES, UNDECIDED, Event
 from trajeval_ros.metrics.discontinuities.exoneration import (
     EXONERATES,
@@ -62,8 +62,7 @@ class StepSearch:
         source: PairSource,
         motion: RelativeMotion,
         events: list[Event],
-        nanoseconds: Callable[[float], int],
-        corrects_clock: Callable[[PairStep, float], bool],
+        clocks: ClockSteps,
     ) -> None:
         """Create it once the rates are known.
 
@@ -71,14 +70,12 @@ class StepSearch:
             source: The pairs and their streams.
             motion: The relative motion, which it learns.
             events: Where it appends events.
-            nanoseconds: Returns the timestamp of a time, seconds.
-            corrects_clock: Corrects a clock step in the gap of a step if there is one, given the
-                usual difference, metres; the search then continues before the gap.
+            clocks: Corrects clock steps in gaps.
         """
         self.open: PairStep | None = None
         self.previous: Floats | None = None  # the last judged pair (15,)
         self._source, self._motion, self._events = source, motion, events
-        self._ns, self._corrects_clock = nanoseconds, corrects_clock
+        self._clocks = clocks
         self._history = MotionHistory(motion, source.begin_s, source.period_s)
         self._burn_in: Floats | None = np.empty((0, PAIR_WIDTH))
         self._interval = 0  # number of the interval whose pairs have the same limits
@@ -183,7 +180,7 @@ class StepSearch:
                 self._return(step, pair)
             elif self._tests_clock(step, pair):
                 step.clock_is_tested = True
-                if self._corrects_clock(step, float(self._usual.limit(2.0)[0])):
+                if self._clocks.correct(step, float(self._usual.limit(2.0)[0])):
                     self.previous, self.open = step.begin, None
                     return pairs[:0], True
             elif self._is_calm(step, pair):
@@ -280,7 +277,7 @@ class StepSearch:
             if is_known and is_back(total, size):
                 was_flip = event.deg > FLIP_DEG
                 event.kind = kinds.FLIP if was_flip else kinds.OUTLIER
-                event.end_ns, event.s = self._ns(end[0]), float(end[0] - start[0])
+                event.end_ns, event.s = self._clocks.ns(end[0]), float(end[0] - start[0])
                 event.poses = 0
                 event.side = verdict.side if event.side == UNDECIDED else event.side
                 if was_flip and before[0] is not None:
@@ -297,9 +294,9 @@ class StepSearch:
         if (
             last is not None
             and last.kind == kinds.LOST
-            and (self._ns(step.begin[0]) - last.end_ns < 2 * NANOSECONDS)
+            and (self._clocks.ns(step.begin[0]) - last.end_ns < 2 * NANOSECONDS)
         ):
-            last.end_ns = self._ns(pair[0])
+            last.end_ns = self._clocks.ns(pair[0])
         elif verdict.side:
             self._add(kinds.LOST, verdict, step, pair).poses = step.unusual
         self._history.begin_at(pair, is_learned=False)
@@ -338,8 +335,8 @@ class StepSearch:
         event = Event(
             kind,
             verdict.side,
-            self._ns(step.begin[0]),
-            self._ns(end[0]),
+            self._clocks.ns(step.begin[0]),
+            self._clocks.ns(end[0]),
             m=step.parts.m,
             deg=step.parts.deg,
             certainty=verdict.certainty,
