@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +13,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from small_rigs import small_rig
 
-from trajeval_ros.calibration.groundtruth_quality.examine import ExaminedGroundtruth, examine
-from trajeval_ros.calibration.groundtruth_quality.quality_causes import HALF_WIDTH, PARAMETERS
+from trajeval_ros.calibration.groundtruth_quality.examine import (
+    ExaminedGroundtruth,
+    _apply,
+    examine,
+)  # fmt: skip
+from trajeval_ros.calibration.groundtruth_quality.quality_causes import (
+    HALF_WIDTH,
+    PARAMETERS,
+    GroundtruthCause,
+)  # fmt: skip
 from trajeval_ros.calibration.groundtruth_quality.rig import LEVER, OFFSET, SKEW, UNITS
 from trajeval_ros.calibration.groundtruth_quality.start import imu_of
 from trajeval_ros.exceptions import InputError
@@ -140,3 +150,49 @@ def test_a_summary_has_the_larger_variance_in_its_units() -> None:
     assert UNITS.tolist() == pytest.approx(
         [np.degrees(1.0)] * 3 + [1e3] * 4 + [1e6] + [np.degrees(1.0)] * 2
     )
+
+
+@pytest.mark.parametrize(
+    ("verdict", "lever"),
+    [
+        ("significant", [False, False, False]),
+        ("insignificant", [True, False, True]),
+        ("inconclusive", [True, True, True]),
+    ],
+)
+@pytest.mark.parametrize("is_short", [True, False])
+def test_parameters_that_are_noise_are_not_applied(
+    verdict: str, lever: list[bool], is_short: bool
+) -> None:
+    calls: list[tuple[Any, Array]] = []
+    own = dataclasses.replace(small_rig().rig, offset_s=0.25, skew=0.125)
+
+    def fake(offset_s: float, skew: float) -> Any:
+        given = dataclasses.replace(own, offset_s=offset_s, skew=skew, shift_s=0.75)
+        return SimpleNamespace(
+            free=np.ones(10, dtype=bool), rig=given, solve_again=lambda *given: calls.append(given)
+        )
+
+    chosen, other = fake(0.25, 0.125), fake(0.5, 0.0625)
+    causes = {name: GroundtruthCause(name, "significant") for name in PARAMETERS}
+    causes["body_rotation"] = GroundtruthCause("body_rotation", "insignificant")
+    causes["tilted"] = GroundtruthCause("tilted", "insignificant")
+    causes["lever_arm"] = GroundtruthCause("lever_arm", verdict)
+    noisy = np.array([True] * 3 + [True, False, True] + [False, True, False, False])
+    _apply(chosen, chosen if is_short else other, causes, noisy)
+    [(applied, free)] = calls
+    np.testing.assert_array_equal(applied.body, np.eye(3))
+    np.testing.assert_array_equal(applied.lever == 0.0, lever)
+    # Clocks are those of the short fit; a noisy skew is zero.
+    assert applied.offset_s == (0.25 if is_short else 0.5)
+    assert applied.skew == 0.0
+    expected = np.array([False] * 3 + [not item for item in lever] + [is_short, False, True, True])
+    np.testing.assert_array_equal(free, expected)
+    # A rotation that is not noise is applied, also a small one, but not an inconclusive one.
+    for verdict in ("insignificant", "inconclusive"):
+        causes["body_rotation"] = GroundtruthCause("body_rotation", verdict)
+        _apply(chosen, chosen, causes, noisy & (np.arange(10) > 2))
+        applied, free = calls.pop()
+        is_applied = verdict == "insignificant"
+        np.testing.assert_array_equal(applied.body, own.body if is_applied else np.eye(3))
+        assert free[:3].tolist() == [is_applied] * 3
