@@ -320,23 +320,6 @@ def test_a_groundtruth_state_that_comes_after_its_use_is_counted_and_kept() -> N
     assert buffer.dropped == {"duplicate_stamp": 3}
 
 
-def test_states_that_are_no_poses_are_counted_by_reason() -> None:
-    evaluator = OnlineEvaluator()
-    stamps = np.arange(4, dtype=np.int64) * SECOND // 10
-    positions = np.zeros((4, 3))
-    positions[1, 0] = np.nan
-    quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
-    quaternions[2] = 0.0
-    evaluator.add_groundtruth(
-        trajectory(stamps, states(np.zeros((4, 3)), quaternions[[0, 0, 0, 0]]))
-    )
-    block = trajectory(stamps, states(positions, quaternions))
-    evaluator.add_estimate(block, block.reading.dropped)
-    evaluator.update(at_end=True)
-    assert evaluator.snapshot().pairs == 2
-    assert evaluator.snapshot().dropped == {"not_finite": 1, "zero_quaternion": 1}
-
-
 @pytest.mark.slow
 def test_a_frozen_alignment_waits_until_it_is_determined_and_then_stays() -> None:
     groundtruth = make_groundtruth(9, 800)

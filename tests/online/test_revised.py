@@ -47,8 +47,7 @@ def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
     pair = make_pair(seed, 120, smooth=True)
     protocol = Protocol(gauge=gauge, lengths=())
     evaluation = evaluate(pair.groundtruth, pair.estimate, protocol)
-    record: list[PairedStates] = []
-    evaluator = OnlineEvaluator(OnlineSettings(protocol), record=record.append)
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
     rows = states(pair.groundtruth.positions, pair.groundtruth.quaternions)
     evaluator.add_groundtruth(trajectory(pair.groundtruth.stamps, rows))
     path = RevisedPath(gauge)
@@ -59,9 +58,9 @@ def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
         earlier[:, :3] += 0.3 * (end < len(stamps))  # the last version corrects the others
         new = path.renew(trajectory(stamps[:end], earlier))
         evaluator.add_estimate(trajectory(stamps[:end][new], earlier[new]))
-    evaluator.update(at_end=True)
-    for pairs in record:
-        path.record(pairs)
+    pairs = evaluator.made(at_end=True)
+    assert pairs is not None
+    path.record(pairs)
     expected = evaluation.ate["position_m"]
     assert expected is not None
     assert rmse_m(path, gauge) == pytest.approx(expected.rmse, rel=1e-9)

@@ -59,10 +59,7 @@ def main(
         np.array([float(word) for word in place.split(",")]), seconds
     )
     groundtruth_rows, estimate_rows = rows(groundtruth), rows(estimate)
-    evaluator = OnlineEvaluator(
-        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda pairs: new.append(pairs)
-    )
-    new: list = []
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW)))
     streams = []
     # The end may take long on a machine that is busy, but less than the test waits.
     drawing._PATIENCE_S = PATIENCE_S / 4
@@ -93,10 +90,10 @@ def main(
         put(lambda scene, taken=taken: scene.groundtruth(*taken))
         part = (estimate.stamps > since) & (estimate.stamps <= end)
         evaluator.add_estimate(trajectory(estimate.stamps[part], estimate_rows[part]))
-        update = evaluator.update()
-        for pairs in new:
+        pairs = evaluator.made()
+        update = evaluator.evaluate(pairs)
+        if pairs is not None:
             put(lambda scene, pairs=pairs: scene.pairs(NAME, *as_drawn(pairs)))
-        new.clear()
         if update.stamp is not None:
             put(lambda scene, update=update: scene.update(NAME, update))
             if update.position_m is not None:

@@ -16,7 +16,6 @@ from trajeval_ros.geometry.geodesy import east_north_up
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import PairedStates
 
 pytest.importorskip("rerun", reason="rerun-sdk is missing")
 
@@ -63,9 +62,8 @@ def test_a_map_has_fixes_and_tracks_where_they_are(tmp_path: Path) -> None:
 
 def live(path: Path, fixes: Trajectory) -> list[Any]:
     """Draw a live run by fixes into a file; returns its layouts."""
-    pairs: list[PairedStates] = []
     settings = OnlineSettings(Protocol(gauge="yaw"), window="0")
-    evaluator = OnlineEvaluator(settings, record=pairs.append)
+    evaluator = OnlineEvaluator(settings)
     recording = rerun.RecordingStream("trajeval", recording_id="live")
     recording.save(path)
     scene, estimate = LiveScene("drive", ["odometry"], Gauge.YAW), FLIGHT.estimate
@@ -82,10 +80,10 @@ def live(path: Path, fixes: Trajectory) -> list[Any]:
         evaluator.add_groundtruth(trajectory(one.stamps, states(one.positions)))
         new = (estimate.stamps > stamp - 400_000_000) & (estimate.stamps <= stamp)
         evaluator.add_estimate(trajectory(estimate.stamps[new], rows[new]))
-        evaluator.update()
-        for pair in pairs:
-            scene.pairs("odometry", *as_drawn(pair))
-        pairs.clear()
+        pairs = evaluator.made()
+        evaluator.evaluate(pairs)
+        if pairs is not None:
+            scene.pairs("odometry", *as_drawn(pairs))
         if evaluator.pairs:
             newest = int(evaluator.store.stamps()[-1])
             scene.snapshot("odometry", newest, evaluator.snapshot(), None)

@@ -324,14 +324,16 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
     """As a viewer that connects again: colours, their scale, and how the revised path looks."""
     from rrd import Rrd
 
-    flight, pairs = simulate(0, 20.0), []
-    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW)), record=pairs.append)
+    flight = simulate(0, 20.0)
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW)))
     columns = [
         states(item.positions, item.quaternions) for item in (flight.groundtruth, flight.estimate)
     ]
     evaluator.add_groundtruth(trajectory(flight.groundtruth.stamps, columns[0]))
     evaluator.add_estimate(trajectory(flight.estimate.stamps, columns[1]))
-    evaluator.update()
+    pairs = evaluator.made()
+    assert pairs is not None
+    evaluator.evaluate(pairs)
     snapshot, stamp = evaluator.snapshot(), int(evaluator.store.stamps()[-1])
     scene = LiveScene("flight", [NAME], Gauge.YAW)
     errors = available_errors(evaluate(flight.groundtruth, flight.estimate)).samples
@@ -342,8 +344,7 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
         scene.begin(recording)
         if not number:
             scene.groundtruth(flight.groundtruth.stamps, columns[0])
-            for pair in pairs:
-                scene.pairs(NAME, *as_drawn(pair))
+            scene.pairs(NAME, *as_drawn(pairs))
         newest = dataclasses.replace(errors, stamps=errors.stamps + number)
         scene.snapshot(NAME, stamp + number, snapshot, None if number else 0.25, newest)
         scene.finish()
@@ -383,17 +384,15 @@ def test_live_colours_have_one_scale_and_no_line_below_them(
     scene.groundtruth(flight.groundtruth.stamps, groundtruth)
     for number, name in enumerate(names):
         moved = flight.estimate.positions * (1.0 + 0.05 * number)
-        pairs: list = []
-        settings = OnlineSettings(Protocol(gauge=Gauge.YAW))
-        evaluator = OnlineEvaluator(settings, record=pairs.append)
+        evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW)))
         evaluator.add_groundtruth(trajectory(flight.groundtruth.stamps, groundtruth))
         estimate = states(moved, flight.estimate.quaternions)
         for part in np.array_split(np.arange(len(estimate)), 8):
             evaluator.add_estimate(trajectory(flight.estimate.stamps[part], estimate[part]))
-            evaluator.update()
-            for pair in pairs:
-                scene.pairs(name, *as_drawn(pair))
-            pairs.clear()
+            pairs = evaluator.made()
+            evaluator.evaluate(pairs)
+            if pairs is not None:
+                scene.pairs(name, *as_drawn(pairs))
             newest = int(evaluator.store.stamps()[-1])
             scene.snapshot(name, newest, evaluator.snapshot(), None)
     scene.finish()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.pairing import PairedStates, Pairing
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.state_buffer import NEVER, NOTHING
+from trajeval_ros.online.state_buffer import NEVER
 from trajeval_ros.online.window import PairStore, judge_window, window_integrity, window_statistics
 
 # Coverage, losses and ends of sub-trajectories are measured for the pairs of this time together:
@@ -64,21 +63,11 @@ class OnlineEvaluator:
         True
     """
 
-    def __init__(
-        self,
-        settings: OnlineSettings | None = None,
-        record: Callable[[PairedStates], object] | None = None,
-    ) -> None:
-        """Create an evaluator without states.
-
-        Args:
-            settings: The settings; None for the defaults.
-            record: Called with all new pairs, to store them outside this process.
-        """
+    def __init__(self, settings: OnlineSettings | None = None) -> None:
+        """Create an evaluator without states; without settings, with the defaults."""
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
         self.frames = LiveFrames(self.settings)
-        self._record = record
         at_groundtruth = rule.method == AT_GROUNDTRUTH
         limits = self.settings.limits
         self._pair_by(Pairing(rule.max_gap_s, limits, at_groundtruth=at_groundtruth))
@@ -93,12 +82,8 @@ class OnlineEvaluator:
         self._ate_before_m: float | None = None  # until nothing suggested a loss of tracking
         self.up_axis_doubt = ""
 
-    def add_groundtruth(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+    def add_groundtruth(self, block: Trajectory) -> None:
         """Take new groundtruth states, in any order.
-
-        Args:
-            block: The states.
-            dropped: Number of messages without a usable state by reason, to be counted.
 
         Raises:
             InputError: A number is not finite; `Trajectory.from_columns` drops such states.
@@ -107,9 +92,9 @@ class OnlineEvaluator:
         block = self.frames.of_groundtruth(block)
         if not self._is_settled:
             self._settle(block)
-        self.buffer.add_groundtruth(block, dropped)
+        self.buffer.add_groundtruth(block)
 
-    def add_estimate(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+    def add_estimate(self, block: Trajectory) -> None:
         """Take new estimated states, in any order; see `add_groundtruth`.
 
         Raises:
@@ -120,7 +105,7 @@ class OnlineEvaluator:
         block = self.frames.of_estimate(block)
         if offset_ns := self.settings.offset_ns:
             block = dataclasses.replace(block, stamps=block.stamps + offset_ns)
-        self.buffer.add_estimate(block, dropped)
+        self.buffer.add_estimate(block)
 
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate the states since the last call.
@@ -139,8 +124,6 @@ class OnlineEvaluator:
         """Evaluate new pairs of `made`; see `update`."""
         update = Update()
         if pairs is not None and len(pairs):
-            if self._record is not None:
-                self._record(pairs)
             self._count += len(pairs)
             evaluated = self.frames.upright(pairs)
             self.store.add(evaluated)

@@ -7,7 +7,7 @@ states beyond it, or until the end. Both sides are kept for a while, because sta
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
 from trajeval_ros.metrics.coverage import NO_GAP_NS, StampedPoses, time_without_gaps
-from trajeval_ros.online.state_buffer import NEVER, NOTHING, BufferLimits, StateCounts, Tail
+from trajeval_ros.online.state_buffer import NEVER, BufferLimits, StateCounts, Tail
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +75,8 @@ class Pairing:
         self.at_groundtruth = at_groundtruth
         # The newest states of both sides. Column `waits`: of a state without a decision.
         self.groundtruth, self.estimate = Tail(), Tail()
-        # Besides invalid states, they count `too_late`, a state of the interpolated side whose
-        # neighbours have been forgotten; and `after_use`, a state that arrived after its
-        # neighbours were used without it.
+        # Of the interpolated side, they count as dropped `too_late`, a state whose neighbours have
+        # been forgotten; and `after_use`, one that arrived after its neighbours were used.
         self.groundtruth_counts, self.estimate_counts = StateCounts(), StateCounts()
         # In the same order as offline, whatever occurs first.
         self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
@@ -108,14 +107,14 @@ class Pairing:
         self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
         self._waits_from = NEVER
 
-    def add_groundtruth(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
-        """Take groundtruth states in any order; `dropped`: see `StateCounts.take`."""
-        self.groundtruth_counts.take(block, dropped)
+    def add_groundtruth(self, block: Trajectory) -> None:
+        """Take groundtruth states in any order."""
+        self.groundtruth_counts.count(block.stamps)
         self._add(self.groundtruth, self.groundtruth_counts, block)
 
-    def add_estimate(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+    def add_estimate(self, block: Trajectory) -> None:
         """Take estimated states in any order; covariances of interpolated ones are dropped."""
-        self.estimate_counts.take(block, dropped)
+        self.estimate_counts.count(block.stamps)
         self._add(self.estimate, self.estimate_counts, block)
 
     @property

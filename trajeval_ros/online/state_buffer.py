@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,13 +14,12 @@ from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP
-from trajeval_ros.geometry.valid_poses import add_counts, count_up
+from trajeval_ros.geometry.valid_poses import count_up
 from trajeval_ros.metrics.coverage import POSE, StampedPoses
 
 NEVER = int(np.iinfo(np.int64).min)  # before all timestamps
 _STATE = ("positions", "quaternions", "velocities", "covariances")  # columns of a trajectory
 _ALL = slice(None)
-NOTHING: Mapping[str, int] = MappingProxyType({})  # no counts
 _FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
 _NONE = np.empty(0, dtype=np.int64)
 NO_STATES = Trajectory(
@@ -186,12 +183,6 @@ class StateCounts:
     first: int | None = None  # the earliest timestamp, nanoseconds; None before the first pose
     last: int | None = None  # the latest timestamp, nanoseconds
     dropped: dict[str, int] = field(default_factory=dict)  # number of unusable states by reason
-
-    def take(self, block: Trajectory, dropped: Mapping[str, int]) -> None:
-        """Count the states of a block, and those that were left out of it, by reason."""
-        if dropped:
-            self.dropped = add_counts(self.dropped, dropped)
-        self.count(block.stamps)
 
     def count(self, stamps: Stamps) -> None:
         """Count usable poses with timestamps (N,), nanoseconds."""
