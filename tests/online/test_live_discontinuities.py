@@ -10,11 +10,11 @@ import pytest
 
 from trajeval_ros import OnlineEvaluator, Protocol, Request, run, simulate
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.metrics.discontinuities.recorded import discontinuities
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_discontinuities import LiveDiscontinuities
-from trajeval_ros.online.state_rows import rows_of
 
 FLIGHT = simulate(6, 40.0)
 TRUTH, ESTIMATE = FLIGHT.groundtruth[::5], FLIGHT.estimate
@@ -42,7 +42,7 @@ def feed(
         for name, side in sides:
             rows = slice(*np.searchsorted(side.stamps, bounds))
             arrived = first + ((side.stamps[rows] - first) / rate).astype(np.int64)
-            search.add(name, side.stamps[rows], rows_of(side[rows]), arrived)
+            search.add(name, StampedPoses.of(side, rows), arrived)
         result.append(search.examine())
     return result
 
@@ -92,7 +92,7 @@ def test_no_event_begins_in_what_is_settled() -> None:
             for side in (TRUTH, stepped())
         ]
         for name, side in zip(("groundtruth", "estimate"), inside, strict=True):
-            search.add(name, side.stamps, rows_of(side), None)
+            search.add(name, StampedPoses.of(side), None)
         new, newest = search.examine(), int(inside[0].stamps[-1])
         if new:
             break
@@ -119,8 +119,8 @@ def test_a_clock_step_is_measured_at_any_rate_of_a_replay(rate: float) -> None:
     stamps[ESTIMATE.seconds > STEP_S] += NANOSECONDS
     arrived = first + ((ESTIMATE.stamps - first) / rate).astype(np.int64)
     of_truth = first + ((TRUTH.stamps - first) / rate).astype(np.int64)
-    search.add("groundtruth", TRUTH.stamps, rows_of(TRUTH), of_truth)
-    search.add("estimate", stamps, rows_of(ESTIMATE), arrived)
+    search.add("groundtruth", StampedPoses.of(TRUTH), of_truth)
+    search.add("estimate", StampedPoses(stamps, StampedPoses.of(ESTIMATE).poses), arrived)
     search.examine(at_end=True)
     step = search.clock_step()
     assert step is not None
@@ -130,6 +130,6 @@ def test_a_clock_step_is_measured_at_any_rate_of_a_replay(rate: float) -> None:
 def test_unknown_times_of_reception_are_none() -> None:
     search, estimate = LiveDiscontinuities(), stepped()
     for name, side in (("groundtruth", TRUTH), ("estimate", estimate)):
-        search.add(name, side.stamps, rows_of(side), np.full(len(side), UNKNOWN))
+        search.add(name, StampedPoses.of(side), np.full(len(side), UNKNOWN))
     assert [event.kind for event in search.examine(at_end=True)] == ["step"]
     assert search.examine() == []

@@ -21,8 +21,8 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.online.state_buffer import NO_STATES
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, rows_of
 from trajeval_ros.ros.poses import StreamStatus
 from trajeval_ros.ros.transform_stream import TransformStream
 
@@ -127,7 +127,7 @@ def test_any_batches_give_the_offline_chain(
     stamps, expected = offline(run)
     assert len(stamps) > 100
     np.testing.assert_array_equal(np.concatenate([item.stamps for item in result]), stamps)
-    live = np.concatenate([rows_of(item) for item in result])
+    live = np.concatenate([StampedPoses.of(item).poses for item in result])
     np.testing.assert_allclose(live, expected, rtol=1e-12, atol=1e-12)
     assert stream.trouble is None
     assert stream.status.poses == len(stamps)
@@ -164,7 +164,7 @@ def test_after_a_restart_of_time_the_chain_is_that_of_the_new_messages_alone(
         back = np.flatnonzero(np.diff(stamps) < -SECOND)
         rows = slice(back[-1] + 1 if len(back) else 0, None)
         received = [item for item in received if item.reading.receive_times is not None]
-        poses = np.concatenate([rows_of(item) for item in received])
+        poses = np.concatenate([StampedPoses.of(item).poses for item in received])
         times = np.concatenate([item.reading.receive_times.times for item in received])
         results.append(
             (stamps[rows], times[times >= START + pause], poses[times >= START + pause])
@@ -197,10 +197,10 @@ def test_recorded_transforms_give_the_offline_chain(
     np.testing.assert_array_equal(
         np.concatenate([item.stamps for item in result]), expected.stamps
     )
-    live = np.concatenate([rows_of(item) for item in result])
+    live = np.concatenate([StampedPoses.of(item).poses for item in result])
     assert expected.quaternions is not None
-    np.testing.assert_allclose(live[:, POSITION], expected.positions, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(live[:, QUATERNION], expected.quaternions, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(live[:, :3], expected.positions, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(live[:, 3:], expected.quaternions, rtol=1e-9, atol=1e-9)
 
 
 def moving(key: EdgeKey, stamp: int) -> Arriving:

@@ -9,8 +9,8 @@ from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.online.pairing import PairedStates
-from trajeval_ros.online.state_rows import rows_of
 
 Array = NDArray[np.float64]
 
@@ -48,4 +48,6 @@ def trajectory(
 
 def as_drawn(pairs: PairedStates) -> tuple[NDArray[np.int64], Array, Array]:
     """Return pairs as they are drawn live: timestamps, and poses (N, 7) of both sides."""
-    return pairs.stamps, rows_of(pairs.groundtruth), rows_of(pairs.estimate)
+    sides = pairs.groundtruth, pairs.estimate
+    groundtruth, estimate = (StampedPoses.of(side).poses for side in sides)
+    return pairs.stamps, groundtruth, estimate

@@ -184,22 +184,23 @@ def time_without_gaps(stamps: Indices, max_gap_ns: int) -> int:
 # 20 Hz resolves the motion of a robot and needs little memory.
 _CELL_NS = 50_000_000
 POSE = slice(0, 7)  # columns of the pose in a state
+ALL_ROWS = slice(None)
 
 
 class StampedPoses(NamedTuple):
-    """Poses in order of their timestamps."""
+    """Poses and their timestamps, usually in order of time."""
 
     stamps: Stamps  # (N,) int64, nanoseconds
     poses: Floats  # (N, 7), position and quaternion xyzw; the latter NaN if unknown
 
     @classmethod
-    def of(cls, trajectory: Trajectory, rows: Indices) -> StampedPoses:
-        """Return rows of a trajectory; the rows are in order of time."""
-        quaternions = trajectory.quaternions
-        poses = np.empty((len(rows), POSE.stop))
+    def of(cls, trajectory: Trajectory, rows: slice | Indices = ALL_ROWS) -> StampedPoses:
+        """Return rows of a trajectory, in their order."""
+        stamps, quaternions = trajectory.stamps[rows], trajectory.quaternions
+        poses = np.empty((len(stamps), POSE.stop))
         poses[:, :3] = trajectory.positions[rows]
         poses[:, 3:] = np.nan if quaternions is None else quaternions[rows]
-        return cls(trajectory.stamps[rows], poses)
+        return cls(stamps, poses)
 
     @classmethod
     def joined(cls, parts: Sequence[StampedPoses]) -> StampedPoses:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities import events as kinds
 from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.stream_health import UNKNOWN
-from trajeval_ros.online.state_rows import QUATERNION
 
 # Pairs wait no longer for the decision whether a step among them stays.
 _MOST_HELD_NS = 12 * NANOSECONDS
@@ -22,7 +22,7 @@ _MOST_WAITING = 1000  # blocks of a side before the first of the other side
 # Time of messages that are examined at a time: less costs time per message, more delays an event.
 _BLOCK_NS = NANOSECONDS // 2
 
-_Block: TypeAlias = tuple[Stamps, Floats, Stamps | None]  # timestamps, poses, receive times
+_Block: TypeAlias = tuple[StampedPoses, Stamps | None]  # poses and receive times
 
 
 class LiveDiscontinuities:
@@ -33,25 +33,24 @@ class LiveDiscontinuities:
         self.events: list[Event] = []  # of this run, in order of detection
         self._search: Discontinuities | None = None  # None before states of both sides
         self._known = 0  # number of events of the search that were returned
-        # Timestamps, poses and receive times of states that are not examined yet, by side.
+        # States that are not examined yet, by side.
         self._waiting: dict[str, deque[_Block]] = {side: deque() for side in SIDES}
         self._is_over = False
 
-    def add(self, side: str, stamps: Stamps, rows: Floats, received: Stamps | None) -> None:
+    def add(self, side: str, states: StampedPoses, received: Stamps | None) -> None:
         """Take N states of a side in order of arrival.
 
         Args:
             side: `groundtruth` or `estimate`.
-            stamps: (N,) timestamps by the groundtruth's clock, nanoseconds.
-            rows: (N, 7 or more), positions and quaternions; NaN if not measured.
+            states: Their poses, with timestamps by the groundtruth's clock.
             received: (N,) receive times, nanoseconds, may be `UNKNOWN`; None if unknown.
         """
-        if self._is_over or not len(stamps):
+        if self._is_over or not len(states.stamps):
             return
         if received is not None and (received == UNKNOWN).any():
             received = None
         blocks = self._waiting[side]
-        blocks.append((stamps, rows[:, : QUATERNION.stop], received))
+        blocks.append((states, received))
         if self._search is None and len(blocks) > _MOST_WAITING:
             blocks.popleft()
 
@@ -65,8 +64,9 @@ class LiveDiscontinuities:
         if self._search is None or self._is_over:
             return []
         for side, blocks in self._waiting.items():
-            if blocks and (at_end or abs(blocks[-1][0][-1] - blocks[0][0][0]) >= _BLOCK_NS):
-                self._search.add(side, *_joined(blocks))
+            if blocks and (at_end or _span_ns(blocks) >= _BLOCK_NS):
+                states, received = _joined(blocks)
+                self._search.add(side, *states, received)
                 blocks.clear()
         events = self._search.events
         new = events[self._known :]
@@ -105,13 +105,18 @@ class LiveDiscontinuities:
     def _begin(self) -> None:
         """Create the search when both sides have states, of which it needs to know the kind."""
         if all(self._waiting.values()):
-            firsts = [blocks[0][1][0, QUATERNION] for blocks in self._waiting.values()]
+            firsts = [blocks[0][0].poses[0] for blocks in self._waiting.values()]
             self._search = Discontinuities(oriented=not np.isnan(firsts).any())
 
 
-def _joined(blocks: Collection[_Block]) -> _Block:
+def _span_ns(blocks: Sequence[_Block]) -> int:
+    """Return the time between the first and the last state of blocks, nanoseconds."""
+    return abs(int(blocks[-1][0].stamps[-1] - blocks[0][0].stamps[0]))
+
+
+def _joined(blocks: Sequence[_Block]) -> _Block:
     """Return blocks as one; receive times are known if those of all blocks are."""
-    stamps, poses, times = zip(*blocks, strict=True)
+    states, times = zip(*blocks, strict=True)
     known = [received for received in times if received is not None]
     received = np.concatenate(known) if len(known) == len(times) else None
-    return np.concatenate(stamps), np.concatenate(poses), received
+    return StampedPoses.joined(states), received

@@ -242,8 +242,7 @@ class Pairing:
                 self._drop(reason, number - (too_late if reason.startswith("before_") else 0))
             self._drop("too_late", too_late)
         if self.at_groundtruth:
-            poses = StampedPoses.of(states, np.arange(len(states)))
-            self._groundtruth_decided.append(DecidedStates(poses, usable))
+            self._groundtruth_decided.append(DecidedStates(StampedPoses.of(states), usable))
 
     def take_decided(self) -> Sequence[DecidedStates]:
         """Return the groundtruth states that were decided since the last call, for their stamps.

@@ -15,11 +15,10 @@ from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.geometry.valid_poses import count_up
-from trajeval_ros.metrics.coverage import POSE, StampedPoses
+from trajeval_ros.metrics.coverage import ALL_ROWS, POSE, StampedPoses
 
 NEVER = int(np.iinfo(np.int64).min)  # before all timestamps
 _STATE = ("positions", "quaternions", "velocities", "covariances")  # columns of a trajectory
-_ALL = slice(None)
 _FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
 _NONE = np.empty(0, dtype=np.int64)
 NO_STATES = Trajectory(
@@ -60,7 +59,7 @@ class Tail:
         """Return a column, which some block must have had: a view of N rows."""
         return self._columns[name][self._begin : self._end]
 
-    def trajectory(self, rows: slice | Indices = _ALL) -> Trajectory:
+    def trajectory(self, rows: slice | Indices = ALL_ROWS) -> Trajectory:
         """Return some states, with the columns that all of them have.
 
         A slice gives views, which are valid until the next `add`. Indices give copies.
@@ -77,7 +76,7 @@ class Tail:
             columns["positions"] = np.empty((0, 3))
         return Trajectory(self.stamps[rows], up=self.up, **columns)
 
-    def poses(self, rows: slice | Indices = _ALL) -> StampedPoses:
+    def poses(self, rows: slice | Indices = ALL_ROWS) -> StampedPoses:
         """Return copies of the poses of some states."""
         stamps = self.stamps[rows]
         poses = np.full((len(stamps), POSE.stop), np.nan)

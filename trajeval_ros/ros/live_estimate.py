@@ -23,6 +23,7 @@ from trajeval_ros.io.live.state_file import (
 )
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.events import (
     DECLARED,
     ESTIMATE,
@@ -41,7 +42,6 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.state_buffer import NEVER
-from trajeval_ros.online.state_rows import rows_of
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.message_tail import DecodedMessages
@@ -164,24 +164,25 @@ class LiveEstimate:
     def take_groundtruth(self, states: Trajectory) -> None:
         """Take groundtruth states of the evaluated body."""
         self.evaluator.add_groundtruth(states)
-        self._search(GROUNDTRUTH, states.stamps, states, arrivals_of(states))
+        self._search(GROUNDTRUTH, StampedPoses.of(states), arrivals_of(states))
         self._has_fixes |= states.reading.fixes is not None
         if self.availability is not None:
             self.availability.add_groundtruth(states)
 
     def _add(self, states: Trajectory, arrived: Stamps | None) -> None:
-        self._search(ESTIMATE, states.stamps + self.offset_ns, states, arrived)
+        stamps, poses = StampedPoses.of(states)
+        self._search(ESTIMATE, StampedPoses(stamps + self.offset_ns, poses), arrived)
         self.evaluator.add_estimate(states)
 
-    def _search(
-        self, side: str, stamps: Stamps, states: Trajectory, arrived: Stamps | None
-    ) -> None:
+    def _search(self, side: str, states: StampedPoses, arrived: Stamps | None) -> None:
         """Search states (N,) of this run for discontinuities."""
         if arrived is not None and len(arrived):
             self._heard[side] = max(self._heard.get(side, NEVER), int(arrived.max()))
-        rows = slice(None) if self._begin_ns == NEVER else stamps >= self._begin_ns
-        times = None if arrived is None else arrived[rows]
-        self.discontinuities.add(side, stamps[rows], rows_of(states)[rows], times)
+        if self._begin_ns > NEVER:
+            rows = states.stamps >= self._begin_ns
+            states = StampedPoses(states.stamps[rows], states.poses[rows])
+            arrived = None if arrived is None else arrived[rows]
+        self.discontinuities.add(side, states, arrived)
 
     def _receive(self, states: Trajectory) -> None:
         if self.availability is not None:

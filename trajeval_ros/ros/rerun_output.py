@@ -11,10 +11,10 @@ from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.state_rows import rows_of
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.viewer.live_scene import LiveScene
@@ -127,16 +127,17 @@ class RerunOutput:
 
     def _groundtruth(self, states: Trajectory) -> None:
         status, up = self._run.groundtruth_status, self._run.groundtruth_up
-        stamps, poses, fixes = states.stamps, rows_of(states), states.reading.fixes
+        poses, fixes = StampedPoses.of(states), states.reading.fixes
         frames = status.frame, status.child_frame
-        self._put(lambda scene: scene.groundtruth(stamps, poses, up, *frames))
+        self._put(lambda scene: scene.groundtruth(*poses, up, *frames))
         if fixes is not None and fixes.datum is not None:
-            self._put(lambda scene: scene.fixes(stamps, fixes))
+            self._put(lambda scene: scene.fixes(poses.stamps, fixes))
 
     def _pairs(self, estimate: LiveEstimate, pairs: PairedStates) -> None:
         name, frames = estimate.name, (estimate.status.frame, estimate.status.child_frame)
-        sides = rows_of(pairs.groundtruth), rows_of(pairs.estimate)
-        self._put(lambda scene: scene.pairs(name, pairs.stamps, *sides, *frames))
+        groundtruth = StampedPoses.of(pairs.groundtruth).poses
+        stamps, poses = StampedPoses.of(pairs.estimate)
+        self._put(lambda scene: scene.pairs(name, stamps, groundtruth, poses, *frames))
 
     def _put(self, draw: Callable[[LiveScene], object]) -> None:
         for stream, scene in self._streams:

@@ -10,8 +10,9 @@ import math
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.divergence import Divergence
 from trajeval_ros.metrics.discontinuities.events import ESTIMATE, SIDES, Event, Loss
 from trajeval_ros.metrics.discontinuities.frozen_parts import (
@@ -149,11 +150,5 @@ def _give(
     order = np.argsort(estimate.stamps, kind="stable")
     for begin in range(0, len(order), _BATCH):
         rows = order[begin : begin + _BATCH]
-        search.add(estimate.stamps[rows], _poses(groundtruth, rows), _poses(estimate, rows))
-
-
-def _poses(trajectory: Trajectory, rows: Indices) -> Floats:
-    """Return some poses (n, 7) of a trajectory; without orientations, quaternions are NaN."""
-    positions, quaternions = trajectory.positions[rows], trajectory.quaternions
-    unknown = np.full((len(positions), 4), np.nan)
-    return np.hstack([positions, unknown if quaternions is None else quaternions[rows]])
+        poses = (StampedPoses.of(side, rows).poses for side in (groundtruth, estimate))
+        search.add(estimate.stamps[rows], *poses)
