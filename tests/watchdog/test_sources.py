@@ -59,9 +59,8 @@ def test_a_transform_holds_until_the_next_one(portions: int, stands_s: int) -> N
     parts = [watchdog.add_source("map", sent, np.array([[0.0, 0, 0], [0, 0.7, 0]]), upright)]
     for rows in np.array_split(np.arange(len(stamps)), portions):
         own = at[rows]
-        parts.append(
-            watchdog.add_states(stamps[rows], flown.positions[own], flown.quaternions[own])
-        )
+        states = Trajectory(stamps[rows], flown.positions[own], flown.quaternions[own])
+        parts.append(watchdog.add_estimate(states))
     result = joined(parts)
     seconds, values = result["map_correction_m_1s"]
     np.testing.assert_allclose(seconds, [52.03])
@@ -70,13 +69,12 @@ def test_a_transform_holds_until_the_next_one(portions: int, stands_s: int) -> N
 
 def test_transforms_that_come_late_are_judged_where_the_robot_was() -> None:
     estimate = flight().estimate
-    assert estimate.quaternions is not None
     stamps = estimate.stamps[0] + np.array([5000, 52_010, 52_020, 52_030]) * SECOND // 1000
     rotations = lie.from_rotation_vector(np.outer([0.0, 0.5, 1.0, 1.5], [0.0, 0.0, 1.0]))
     corrections = Trajectory(stamps, np.zeros((4, 3)), rotations)
     expected = watched(WatchedRun(estimate, corrections=corrections)).signals
     watchdog = Watchdog(int(estimate.stamps[0]))
-    parts = [watchdog.add_states(estimate.stamps, estimate.positions, estimate.quaternions)]
+    parts = [watchdog.add_estimate(estimate)]
     for row in range(4):
         one = slice(row, row + 1)
         parts.append(watchdog.add_source("map", stamps[one], np.zeros((1, 3)), rotations[one]))
@@ -117,7 +115,8 @@ def test_a_source_that_never_comes_takes_no_memory() -> None:
         stamps = minute * 60 * SECOND + np.arange(0, 60 * SECOND, SECOND // 20)
         seconds = stamps / SECOND
         places = np.stack([np.sin(seconds), np.cos(seconds), 0.0 * seconds], axis=1)
-        watchdog.add_states(stamps, places, np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1)))
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
+        watchdog.add_estimate(Trajectory(stamps, places, upright))
         sizes.append(len(pickle.dumps(watchdog)))
     assert max(sizes[20:]) <= 1.1 * max(sizes[:20])
 

@@ -54,9 +54,6 @@ def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
     assert imu.accelerations is not None
     assert corrections is not None
     assert partner.quaternions is not None
-    assert estimate.quaternions is not None
-    assert estimate.velocities is not None
-    body = lie.rotate(lie.conjugate(estimate.quaternions), estimate.velocities)
     columns = {
         "imu": (partial(watchdog.add_source, "imu"), (imu.stamps, imu.rates, imu.accelerations)),
         "pair": (
@@ -67,10 +64,7 @@ def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
             partial(watchdog.add_source, "map"),
             (corrections.stamps, corrections.positions, corrections.quaternions),
         ),
-        "states": (
-            watchdog.add_states,
-            (estimate.stamps, estimate.positions, estimate.quaternions, body),
-        ),
+        "states": (watchdog.add_estimate, (estimate,)),
     }
     parts: list[Signals] = []
     starts = dict.fromkeys(columns, 0)
@@ -240,7 +234,7 @@ def test_a_robot_that_stands_is_never_judged() -> None:
     still = np.zeros((len(stamps), 3))
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
     watchdog = Watchdog()
-    assert not watchdog.add_states(stamps, still, upright)
+    assert not watchdog.add_estimate(Trajectory(stamps, still, upright))
     assert watchdog.armed_s is None
     with pytest.raises(InputError, match="only 0 s of motion"):
         watched(WatchedRun(Trajectory(stamps, still, upright)))
@@ -249,26 +243,16 @@ def test_a_robot_that_stands_is_never_judged() -> None:
 def test_arming_takes_thirty_seconds_of_motion() -> None:
     run = flight()
     assert seen().armed_s == pytest.approx(30.0, abs=0.2)
-    quaternions = run.estimate.quaternions
-    assert quaternions is not None
     watchdog = Watchdog()
-    rows = slice(0, 12 * 20 + 1)
-    watchdog.add_states(run.estimate.stamps[rows], run.estimate.positions[rows], quaternions[rows])
+    watchdog.add_estimate(run.estimate[: 12 * 20 + 1])
     assert watchdog.moved_s == pytest.approx(12.0, abs=0.1)
 
 
 def test_stamps_that_step_back_begin_anew() -> None:
     estimate = flight().estimate
-    quaternions = estimate.quaternions
-    assert quaternions is not None
     watchdog = Watchdog()
-    first = watchdog.add_states(estimate.stamps, estimate.positions, quaternions)
-    assert "smooth" in first
-    half = len(estimate) // 4
-    again = watchdog.add_states(
-        estimate.stamps[:half], estimate.positions[:half], quaternions[:half]
-    )
-    assert not again
+    assert "smooth" in watchdog.add_estimate(estimate)
+    assert not watchdog.add_estimate(estimate[: len(estimate) // 4])
     assert watchdog.armed_s is None
     assert watchdog.restarts == 1
     assert "the watch restarts" in watchdog.notices[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -12,9 +12,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.formatting.remarks import Level, Remark
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.bags.rate_messages import decode_rates
 from trajeval_ros.ros.poses import PoseStream
@@ -93,7 +92,7 @@ class LiveWatch:
         restarts = self.watchdog.restarts
         parts = [self._take_imu(messages.imu)]
         parts += [
-            self.watchdog.add_source(source, *_poses(self._others[source], *batch)[:3])
+            self._take_other(source, *batch)
             for source, batches in messages.others.items()
             for batch in batches
         ]
@@ -120,15 +119,19 @@ class LiveWatch:
             "imu", readings.stamps[timed], readings.rates[timed], readings.accelerations[timed]
         )
 
+    def _take_other(
+        self, source: str, kind: str, taken: ReceivedMessages, arrived: Stamps
+    ) -> Signals:
+        poses = _poses(self._others[source], kind, taken, arrived)
+        if poses.quaternions is None:
+            return {}
+        return self.watchdog.add_source(source, poses.stamps, poses.positions, poses.quaternions)
+
     def _take_estimate(self, kind: str, taken: ReceivedMessages, arrived: Stamps) -> Signals:
-        columns = _poses(self._estimate, kind, taken, arrived)
-        stamps, positions, quaternions, velocities, covariances, received = columns
-        up = self._estimate.up(None).matrix[2]
-        self.watchdog.add_covariances(stamps, covariances, up)
-        if np.isfinite(velocities).any():
+        states = _poses(self._estimate, kind, taken, arrived)
+        if states.velocities is not None and np.isfinite(states.velocities).any():
             self._needs.add("twist")
-        body = lie.rotate(lie.conjugate(quaternions), velocities)
-        return self.watchdog.add_states(stamps, positions, quaternions, body, received)
+        return self.watchdog.add_estimate(replace(states, up=self._estimate.up(None)))
 
     def _keep_latest(self, signals: Signals) -> None:
         """Keep the largest value of every signal in its latest second."""
@@ -192,29 +195,11 @@ class LiveWatch:
         return values
 
 
-def _poses(
-    stream: PoseStream, kind: str, taken: ReceivedMessages, arrived: Stamps
-) -> tuple[Stamps, Floats, Floats, Floats, Floats, Stamps | None]:
-    """Return the usable poses of messages.
-
-    Timestamps (N,), positions (N, 3), quaternions (N, 4), world velocities (N, 3), rotation
-    covariances (N, 3, 3), zeros if they are unknown, and receive times (N,).
-    """
+def _poses(stream: PoseStream, kind: str, taken: ReceivedMessages, arrived: Stamps) -> Trajectory:
+    """Return the usable poses of messages."""
     if kind == PATH_TYPE:
         raise InputError(
             "a topic to watch has type nav_msgs/msg/Path, whose poses are revised; use a topic "
             "with one pose per message"
         )
-    states, _ = stream.poses(kind, taken.payloads, arrived)
-    if states.quaternions is None:
-        states = states[:0]
-    count, covariances = len(states), states.covariances
-    receive_times = states.reading.receive_times
-    return (
-        states.stamps,
-        states.positions,
-        states.known_quaternions,
-        np.full((count, 3), np.nan) if states.velocities is None else states.velocities,
-        np.zeros((count, 3, 3)) if covariances is None else covariances[:, 3:, 3:],
-        None if receive_times is None else receive_times.times,
-    )
+    return stream.poses(kind, taken.payloads, arrived)[0]

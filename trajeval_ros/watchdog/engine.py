@@ -12,8 +12,10 @@ import numpy as np
 
 from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.formatting.remarks import Remark
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps, lengths
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.one_stream import KnownEvent
 from trajeval_ros.watchdog.event_signals import EventSignals
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
@@ -117,54 +119,42 @@ class Watchdog:
         seconds: Floats = (stamps - self._origin) / NANOSECONDS
         return seconds
 
-    def add_states(
-        self,
-        stamps: Stamps,
-        positions: Floats,
-        quaternions: Floats,
-        body_velocities: Floats | None = None,
-        received: Stamps | None = None,
-    ) -> Signals:
-        """Add states of the estimate; return the signals that they determine.
+    def add_estimate(self, states: Trajectory) -> Signals:
+        """Add states of the estimate, in order of arrival; return the signals that they determine.
 
-        `stamps`: (N,), ns. `positions`: (N, 3), metres. `quaternions`: (N, 4), xyzw, unit.
-        `body_velocities`: (N, 3), m/s, in the body frame; None if messages have no twist.
-        `received`: (N,), ns, receive times; None if unknown.
+        States without orientations are left out. Covariances are tested, if there are any.
         """
-        if not len(stamps):
+        if states.quaternions is None or not len(states):
             return {}
-        seconds = self._seconds(stamps)
+        seconds = self._seconds(states.stamps)
         latest = np.maximum.accumulate(np.concatenate([[self.last_s], seconds]))[:-1]
         back = np.flatnonzero(seconds < latest - RESTART_S)
-        unknown = np.full((len(stamps), 3), np.nan)
-        columns = [positions, quaternions, unknown if body_velocities is None else body_velocities]
         if not len(back):
-            return self._add_in_order(stamps, received, *columns)
+            return self._add_in_order(states, states.quaternions)
         first = int(back[0])
-        early, late = (
-            None if received is None else received[rows]
-            for rows in (slice(first), slice(first, None))
-        )
-        before = self._add_in_order(stamps[:first], early, *(item[:first] for item in columns))
+        before = self._add_in_order(states[:first], states.quaternions[:first])
         self.restarts += 1
         self._told.append(
             f"the estimate's timestamps step back by {latest[first] - seconds[first]:.1f} s: the "
             "estimator restarted, and the watch restarts"
         )
         self._begin()
-        positions, quaternions, velocities = (item[first:] for item in columns)
-        after = self.add_states(stamps[first:], positions, quaternions, velocities, late)
-        return joined([before, after])
+        return joined([before, self.add_estimate(states[first:])])
 
-    def add_covariances(self, stamps: Stamps, covariances: Floats, up: Floats) -> None:
-        """Add covariances of the states that come next, as `YawInformation.add` takes them."""
-        self._yaw.add(stamps, covariances, up)
-
-    def _add_in_order(self, stamps: Stamps, received: Stamps | None, *columns: Floats) -> Signals:
-        rows = self._feeds["states"].rows(self._seconds(stamps), *columns)
+    def _add_in_order(self, states: Trajectory, quaternions: Floats) -> Signals:
+        stamps, receive_times = states.stamps, states.reading.receive_times
+        if states.covariances is not None:
+            self._yaw.add(stamps, states.covariances[:, 3:, 3:], states.up.matrix[2])
+        velocities = np.full((len(states), 3), np.nan)
+        if states.velocities is not None:
+            velocities = lie.rotate(lie.conjugate(quaternions), states.velocities)
+        rows = self._feeds["states"].rows(
+            self._seconds(stamps), states.positions, quaternions, velocities
+        )
         if self._events is None:
             self._events = EventSignals(self.origin)
-        self._events.add(stamps, np.hstack(columns[:2]), received)
+        received = None if receive_times is None else receive_times.times
+        self._events.add(*StampedPoses.of(states), received)
         if self.armed_s is None:
             signals = self._before_armed(rows)
         else:

@@ -10,7 +10,6 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -111,7 +110,6 @@ def feed(watchdog: Watchdog, run: WatchedRun) -> dict[str, Readings]:
 def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
     """Feed all sources in slices of time, as in a live run, and yield the signals."""
     estimate, imu = run.estimate, run.imu
-    velocities, receive_times = _body_velocities(estimate), estimate.reading.receive_times
     others: dict[str, tuple[Stamps, Floats | None, Floats | None]] = {}
     if imu is not None:
         others["imu"] = imu.stamps, imu.rates, imu.accelerations
@@ -126,18 +124,7 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
             assert values is not None
             assert more is not None
             yield watchdog.add_source(name, stamps[rows], values[rows], more[rows])
-        rows = own[0]
-        assert estimate.quaternions is not None
-        if estimate.covariances is not None:
-            covariances = estimate.covariances[rows, 3:, 3:]
-            watchdog.add_covariances(estimate.stamps[rows], covariances, estimate.up.matrix[2])
-        yield watchdog.add_states(
-            estimate.stamps[rows],
-            estimate.positions[rows],
-            estimate.quaternions[rows],
-            None if velocities is None else velocities[rows],
-            None if receive_times is None else receive_times.times[rows],
-        )
+        yield watchdog.add_estimate(estimate[own[0]])
 
 
 def _slices(stamps: Stamps, first: int) -> list[Stamps]:
@@ -150,13 +137,6 @@ def _slices(stamps: Stamps, first: int) -> list[Stamps]:
     places = np.searchsorted(number, np.arange(int(number[-1]) + 2))
     rows = np.arange(len(stamps))
     return [rows[begin:end] for begin, end in itertools.pairwise(places.tolist())]
-
-
-def _body_velocities(estimate: Trajectory) -> Floats | None:
-    """Return the velocities (N, 3) in the body."""
-    if estimate.velocities is None or estimate.quaternions is None:
-        return None
-    return lie.rotate(lie.conjugate(estimate.quaternions), estimate.velocities)
 
 
 def error_spans(run: WatchedRun, factor: float) -> list[tuple[int, int]]:
