@@ -30,7 +30,7 @@ from trajeval_ros.online.reports import Snapshot
 from trajeval_ros.ros.clock_remarks import about_clock_faults, about_clock_offset, sync_risk_m
 from trajeval_ros.ros.event_remarks import SUMMARY, about_frozen, about_steps
 from trajeval_ros.ros.live_estimate import LiveEstimate
-from trajeval_ros.ros.live_outputs import LiveOutputs
+from trajeval_ros.ros.live_outputs import EstimateOutputs
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.recorded_state import groundtruth_dropped, missing_source
 from trajeval_ros.ros.slow_evaluation import FIRST_HINTS_S
@@ -307,7 +307,7 @@ class StatusReports:
     def publish(
         self,
         run: LiveRun,
-        outputs: LiveOutputs,
+        outputs: Mapping[str, EstimateOutputs],
         limits: Mapping[str, AlarmLimits],
         window: str,
         undrawn: int,
@@ -321,7 +321,7 @@ class StatusReports:
                 continue
             peaks = estimate.peaks.take()
             remarks = remarks_about(run, estimate, snapshot, peaks, limits)
-            remarks += [*twins, *outputs.remarks(estimate)]
+            remarks += [*twins, *outputs[estimate.name].remarks]
             self.remarks[estimate.name] = remarks
             # A source logs unusable messages itself, once.
             troubles = run.groundtruth.stream.trouble, estimate.source.stream.trouble

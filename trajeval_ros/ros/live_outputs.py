@@ -1,8 +1,7 @@
-"""The published errors of all estimates, under `~/NAME/`: topics and transforms."""
+"""The published errors of estimates, under `~/NAME/`: topics and transforms."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from trajeval_ros.geometry.frame_axes import between_own_axes
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.trajectory_edits import every_nth
-from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.encode_messages import (
     encode_alignment,
     encode_path,
@@ -29,7 +27,7 @@ from trajeval_ros.metrics.stream_health import StreamHealth
 from trajeval_ros.online import error_topics as topics
 from trajeval_ros.online.live_availability import LiveAvailability
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.whole_run import MOST_POSES, ThinnedRun
+from trajeval_ros.online.whole_run import MOST_POSES
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.message_types import message_class
@@ -100,10 +98,10 @@ class RevisedOutputs(_Topics):
         self._alignment = self._latched(TransformStamped, topics.ALIGNMENT)
         self._path = self._latched(Path, topics.ALIGNED_PATH)
 
-    def publish(
-        self, evaluation: Evaluation, ups: tuple[UpAxis, UpAxis], frame: str, child_frame: str
-    ) -> None:
+    def publish(self, run: LiveRun, estimate: LiveEstimate, evaluation: Evaluation) -> None:
         """Publish the errors, the alignment and the aligned path of its newest version."""
+        ups = run.groundtruth_up, estimate.up
+        frame, child_frame = run.groundtruth_status.frame, estimate.status.frame
         stamps, positions = evaluation.aligned.stamps, evaluation.aligned.positions
         evaluated = [(topics.ATE, evaluation.ate)]
         evaluated += [
@@ -141,76 +139,6 @@ class StreamOutputs(_Topics):
         """Publish what is known of the newest messages."""
         for name, field in topics.STREAM_NUMBERS.items():
             self._publish(name, getattr(health, field))
-
-
-class Outputs(_Topics):
-    """Publishers of one estimate: numbers, vectors with timestamps, the alignment, and paths.
-
-    PlotJuggler and rqt_plot can draw the numbers.
-    """
-
-    def __init__(self, node: Node, name: str, *, judges: bool) -> None:
-        from geometry_msgs.msg import TransformStamped
-        from nav_msgs.msg import Path
-
-        super().__init__(node, f"~/{name}", latched=False)
-        by_covariances = (
-            (*topics.NEES_NUMBERS, *topics.PROTECTION_LEVELS.values()) if judges else ()
-        )
-        for number in (*topics.NUMBERS, *by_covariances):
-            self.advertise(number)
-        for topic in topics.VECTORS:
-            self.advertise(topic, topics.VECTOR_TYPE)
-        self.advertise_parts(topics.ATE)
-        self._alignment = self._latched(TransformStamped, topics.ALIGNMENT)
-        self._paths = {
-            item: self._latched(Path, item)
-            for item in (topics.ALIGNED_PATH, topics.GROUNDTRUTH_PATH)
-        }
-
-    def publish_update(self, update: Update, frame: str, offset_ns: int) -> None:
-        """Publish the errors of new pairs, and of sub-trajectories that have ended."""
-        for topic in topics.VECTORS:
-            if not self._publishers[topic].get_subscription_count():
-                continue  # vectors without a subscriber are not computed
-            for errors in update.errors:
-                vectors = topics.vectors_of(errors, topic, offset_ns)
-                self._publish_vectors(topic, *vectors, frame)
-        for name, numbers_of in topics.NUMBERS.items() if update.errors else ():
-            numbers = numbers_of(update.errors[-1])
-            self._publish(name, None if numbers is None else float(numbers[-1]))
-        for end in update.ends:
-            topic, stamps = topics.relative_error_topic(end.length), [end.stamp - offset_ns]
-            self._publish_parts(topic, np.array(stamps), end.position_m, end.rotation_deg)
-
-    def publish_snapshot(self, snapshot: Snapshot, offset_ns: int) -> None:
-        """Publish the errors of the window."""
-        for topic, ate in topics.window_ate(snapshot).items():
-            assert snapshot.stamp is not None  # since there are pairs
-            self._publish_vectors(topic, np.array([snapshot.stamp - offset_ns]), ate)
-        for numbers in (topics.nees_numbers, topics.integrity_numbers):
-            for name, number in numbers(snapshot).items():
-                self._publish(name, number)
-
-    def publish_available(self, errors: LiveAvailability, frame: str) -> None:
-        """Publish the newest as-available errors, and all of them as vectors."""
-        for name, number in errors.numbers.items():
-            self._publish(name, number)
-        if errors.newest is not None:
-            vectors = errors.newest.position.sum(axis=0)
-            topic = topics.AVAILABLE_ERROR
-            self._publish_vectors(topic, errors.newest.stamps, vectors, frame)
-
-    def publish_geometry(
-        self, thinned: ThinnedRun, alignment: Similarity, frame: str, child_frame: str
-    ) -> None:
-        """Publish the alignment, and paths in the groundtruth's frame."""
-        if not len(thinned):
-            return
-        pairs, frames = thinned.pairs(), (frame, child_frame)
-        self._alignment.publish(encode_alignment(alignment, pairs.stamps[-1:], frames))
-        for name, path in encode_paths(pairs, alignment, frame).items():
-            self._paths[name].publish(path)
 
 
 class FrameBroadcaster:
@@ -260,90 +188,121 @@ class FrameBroadcaster:
         return [self._refused[name]] if name in self._refused else []
 
 
-class LiveOutputs:
-    """Publishes the errors of a run."""
+class EstimateOutputs(_Topics):
+    """All that is published of one estimate: numbers, vectors with timestamps, alignment, paths.
+
+    PlotJuggler and rqt_plot can draw the numbers.
+    """
 
     def __init__(
-        self,
-        node: Node,
-        names: Iterable[str],
-        broadcaster: FrameBroadcaster | None,
-        *,
-        judges: bool,
+        self, node: Node, name: str, broadcaster: FrameBroadcaster | None, *, judges: bool
     ) -> None:
-        self._node, self._broadcaster = node, broadcaster
-        self._outputs = {name: Outputs(node, name, judges=judges) for name in names}
-        self._revised: dict[str, RevisedOutputs] = {}
-        self._streams: dict[str, StreamOutputs] = {}  # by name of the source
+        from geometry_msgs.msg import TransformStamped
+        from nav_msgs.msg import Path
 
-    def advertise_lengths(self, lengths: Sequence[str]) -> None:
-        """Create the publishers of relative errors for lengths of sub-trajectories."""
-        for output in self._outputs.values():
-            for length in lengths:
-                output.advertise_parts(topics.relative_error_topic(length))
+        super().__init__(node, f"~/{name}", latched=False)
+        self._name, self._broadcaster = name, broadcaster
+        self._revised: RevisedOutputs | None = None
+        by_covariances = (
+            (*topics.NEES_NUMBERS, *topics.PROTECTION_LEVELS.values()) if judges else ()
+        )
+        for number in (*topics.NUMBERS, *by_covariances):
+            self.advertise(number)
+        for topic in topics.VECTORS:
+            self.advertise(topic, topics.VECTOR_TYPE)
+        self.advertise_parts(topics.ATE)
+        self._alignment = self._latched(TransformStamped, topics.ALIGNMENT)
+        self._paths = {
+            item: self._latched(Path, item)
+            for item in (topics.ALIGNED_PATH, topics.GROUNDTRUTH_PATH)
+        }
 
     def publish_update(self, run: LiveRun, estimate: LiveEstimate, update: Update) -> None:
-        """Publish the errors of new pairs, and the alignment; needs a pair."""
+        """Publish the errors of new pairs and of ended sub-trajectories, and the transform.
+
+        The update has a pair.
+        """
         assert update.stamp is not None
-        frame = run.groundtruth_status.frame
-        self._outputs[estimate.name].publish_update(update, frame, estimate.offset_ns)
-        if self._broadcaster is not None and estimate.evaluator.alignment is not None:
-            self._broadcaster.publish(
-                estimate.name,
-                estimate.evaluator.alignment.similarity,
-                update.stamp - estimate.offset_ns,
-                frame,
-                estimate.status.frame,
-            )
+        frame, offset_ns = run.groundtruth_status.frame, estimate.offset_ns
+        for topic in topics.VECTORS:
+            if not self._publishers[topic].get_subscription_count():
+                continue  # vectors without a subscriber are not computed
+            for errors in update.errors:
+                vectors = topics.vectors_of(errors, topic, offset_ns)
+                self._publish_vectors(topic, *vectors, frame)
+        for name, numbers_of in topics.NUMBERS.items() if update.errors else ():
+            numbers = numbers_of(update.errors[-1])
+            self._publish(name, None if numbers is None else float(numbers[-1]))
+        for end in update.ends:
+            topic, stamps = topics.relative_error_topic(end.length), [end.stamp - offset_ns]
+            self._publish_parts(topic, np.array(stamps), end.position_m, end.rotation_deg)
+        alignment = estimate.evaluator.alignment
+        if self._broadcaster is not None and alignment is not None:
+            frames = frame, estimate.status.frame
+            stamp = update.stamp - offset_ns
+            self._broadcaster.publish(self._name, alignment.similarity, stamp, *frames)
 
-    def publish_streams(self, run: LiveRun) -> None:
-        """Publish the health of the messages of all sources."""
-        for place, source in enumerate(run.plan.sources):
-            if source.name not in self._streams:
-                self._streams[source.name] = StreamOutputs(self._node, source.name)
-            self._streams[source.name].publish(run.status_of(place).stream.recent())
+    def publish_report(
+        self, run: LiveRun, estimate: LiveEstimate
+    ) -> tuple[Snapshot, float | None]:
+        """Publish the window, as-available errors, the newest path if it is new, and the paths.
 
-    def publish_snapshot(self, estimate: LiveEstimate) -> Snapshot:
-        """Publish the errors of the window, and return them."""
+        Returns:
+            The errors of the window, and the position ATE of the newest path, metres.
+        """
         snapshot = estimate.snapshot()
         estimate.peaks.see_snapshot(snapshot)
-        self._outputs[estimate.name].publish_snapshot(snapshot, estimate.offset_ns)
-        return snapshot
+        self._publish_window(snapshot, estimate.offset_ns)
+        if estimate.availability is not None:
+            self._publish_available(run, estimate, estimate.availability)
+        revised_m = self._publish_revised(run, estimate)
+        if snapshot.alignment is not None and len(estimate.thinned):
+            self._publish_geometry(run, estimate, snapshot.alignment.similarity)
+        return snapshot, revised_m
 
-    def publish_available(self, run: LiveRun, estimate: LiveEstimate) -> None:
-        """Publish the as-available errors that are final now."""
-        assert estimate.availability is not None
-        errors, alignment = estimate.availability, estimate.evaluator.alignment
+    def _publish_window(self, snapshot: Snapshot, offset_ns: int) -> None:
+        for topic, ate in topics.window_ate(snapshot).items():
+            assert snapshot.stamp is not None  # since there are pairs
+            self._publish_vectors(topic, np.array([snapshot.stamp - offset_ns]), ate)
+        for numbers in (topics.nees_numbers, topics.integrity_numbers):
+            for name, number in numbers(snapshot).items():
+                self._publish(name, number)
+
+    def _publish_available(
+        self, run: LiveRun, estimate: LiveEstimate, errors: LiveAvailability
+    ) -> None:
+        """Publish the newest error that is final now, and all of them as vectors."""
+        alignment = estimate.evaluator.alignment
         errors.update(None if alignment is None else alignment.similarity, estimate.offset_ns)
-        frame = run.groundtruth_status.frame
-        self._outputs[estimate.name].publish_available(errors, frame)
+        for name, number in errors.numbers.items():
+            self._publish(name, number)
+        if errors.newest is not None:
+            vectors, frame = errors.newest.position.sum(axis=0), run.groundtruth_status.frame
+            self._publish_vectors(topics.AVAILABLE_ERROR, errors.newest.stamps, vectors, frame)
 
-    def publish_revised(self, run: LiveRun, estimate: LiveEstimate) -> float | None:
+    def _publish_revised(self, run: LiveRun, estimate: LiveEstimate) -> float | None:
         """Publish the errors of the newest path if it is new; return its position ATE, metres."""
-        groundtruth = run.groundtruth_status
-        is_new = estimate.renew_slow(groundtruth.child_frame)
+        is_new = estimate.renew_slow(run.groundtruth_status.child_frame)
         revised = estimate.slow.revised
         if revised is None:
             return None
-        name = estimate.name
-        if name not in self._revised:
-            self._revised[name] = RevisedOutputs(self._node, name)
+        self._revised = self._revised or RevisedOutputs(self._node, self._name)
         if is_new:
-            frames = groundtruth.frame, estimate.status.frame
-            self._revised[name].publish(revised, (run.groundtruth_up, estimate.up), *frames)
+            self._revised.publish(run, estimate, revised)
         position = revised.ate["position_m"]
         return None if position is None else position.rmse
 
-    def publish_geometry(self, run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> None:
-        """Publish the paths, if there is an alignment."""
-        if snapshot.alignment is not None:
-            self._outputs[estimate.name].publish_geometry(
-                estimate.thinned,
-                snapshot.alignment.similarity,
-                run.groundtruth_status.frame,
-                estimate.status.frame,
-            )
+    def _publish_geometry(
+        self, run: LiveRun, estimate: LiveEstimate, alignment: Similarity
+    ) -> None:
+        """Publish the alignment, and paths in the groundtruth's frame."""
+        pairs = estimate.thinned.pairs()
+        frames = run.groundtruth_status.frame, estimate.status.frame
+        self._alignment.publish(encode_alignment(alignment, pairs.stamps[-1:], frames))
+        for name, path in encode_paths(pairs, alignment, frames[0]).items():
+            self._paths[name].publish(path)
 
-    def remarks(self, estimate: LiveEstimate) -> list[Remark]:
-        """Return the conditions of an estimate's transform."""
-        return [] if self._broadcaster is None else self._broadcaster.remarks(estimate.name)
+    @property
+    def remarks(self) -> list[Remark]:
+        """Why the transform is not broadcast, if it is requested; empty if it is."""
+        return [] if self._broadcaster is None else self._broadcaster.remarks(self._name)

@@ -17,11 +17,12 @@ from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.io.live.metrics_file import write_metrics
 from trajeval_ros.io.requests.setting import AUTO
+from trajeval_ros.online.error_topics import relative_error_topic
 from trajeval_ros.ros import parameters
 from trajeval_ros.ros.diagnostics import StatusReports
 from trajeval_ros.ros.event_remarks import about_event, lasts
 from trajeval_ros.ros.live_fixes import LiveFixes
-from trajeval_ros.ros.live_outputs import FrameBroadcaster, LiveOutputs
+from trajeval_ros.ros.live_outputs import EstimateOutputs, FrameBroadcaster, StreamOutputs
 from trajeval_ros.ros.live_run import LiveRun, RunPlan
 from trajeval_ros.ros.live_runs import LiveRuns, NewRunRule
 from trajeval_ros.ros.marker_body import MarkerBody, StaticTransform
@@ -68,12 +69,13 @@ class EvaluatorNode:
         self._worker = ThreadPoolExecutor(1, "clocks")
         self._runs = self._new_runs()
         self._pictures = {self._runs.current: self._new_picture(self._runs.current)}
-        self._outputs = LiveOutputs(
-            self._node,
-            [estimate.name for estimate in self._runs.current.estimates],
-            broadcaster,
-            judges=self._settings.covariances.source != "none",
-        )
+        judges = self._settings.covariances.source != "none"
+        self._outputs = {
+            estimate.name: EstimateOutputs(self._node, estimate.name, broadcaster, judges=judges)
+            for estimate in self._runs.current.estimates
+        }
+        sources = self._runs.current.plan.sources
+        self._streams = [StreamOutputs(self._node, source.name) for source in sources]
         self._results = ResultWriting(lambda: self._runs.current, self._log)
         self._advertise()
         self._log(f"output folder: {self._runs.current.folder}")
@@ -170,7 +172,7 @@ class EvaluatorNode:
     def _advertise(self) -> None:
         from std_srvs.srv import Trigger
 
-        self._outputs.advertise_lengths(self._lengths)
+        self._advertise_lengths()
         # A call of ~/save that waits must not delay other services.
         asked = ReentrantCallbackGroup()
         for name, answer in (
@@ -193,9 +195,10 @@ class EvaluatorNode:
         period: float = 1.0 / self._values["publish_rate"]
         return period
 
-    @property
-    def _lengths(self) -> list[str]:
-        return [str(length) for length in self._settings.protocol.lengths if length.unit != "%"]
+    def _advertise_lengths(self) -> None:
+        for length in self._settings.protocol.lengths:
+            for outputs in self._outputs.values() if length.unit != "%" else ():
+                outputs.advertise_parts(relative_error_topic(str(length)))
 
     # Periodic work.
 
@@ -209,7 +212,7 @@ class EvaluatorNode:
         for estimate, update in self._runs.update():
             if update.stamp is None:
                 continue
-            self._outputs.publish_update(self._runs.current, estimate, update)
+            self._outputs[estimate.name].publish_update(self._runs.current, estimate, update)
             self._picture.update(estimate, update)
             latency_s = estimate.latency.publish(update.stamp, time.time_ns())
             estimate.peaks.see("latency_s", latency_s)
@@ -236,17 +239,15 @@ class EvaluatorNode:
                 if not lasts(event) and self._events.publish(estimate.name, remark):
                     self._log(f"{estimate.name}: {remark.text}", remark.level)
                 self._picture.event(event, f"{estimate.name}: {remark.text}")
-        self._outputs.publish_streams(run)
+        for place, stream in enumerate(self._streams):
+            stream.publish(run.status_of(place).stream.recent())
         for estimate in run.estimates:
             arrival_s = estimate.status.stream.recent().arrival_p95_s
             estimate.peaks.see("arrival_s", arrival_s)
-            snapshot = self._outputs.publish_snapshot(estimate)
+            published = self._outputs[estimate.name].publish_report(run, estimate)
             if estimate.availability is not None:
-                self._outputs.publish_available(run, estimate)
                 estimate.peaks.see("age_s", estimate.availability.age_p95_s)
-            revised_m = self._outputs.publish_revised(run, estimate)
-            self._picture.snapshot(estimate, snapshot, revised_m)
-            self._outputs.publish_geometry(run, estimate, snapshot)
+            self._picture.snapshot(estimate, *published)
 
     def _match(self) -> None:
         if self._time_at is not None:
@@ -367,7 +368,7 @@ class EvaluatorNode:
         except SettingsError as error:
             return SetParametersResult(successful=False, reason=one_line(str(error)))
         self._values, self._settings, self._alarm_limits = values, settings, limits
-        self._outputs.advertise_lengths(self._lengths)
+        self._advertise_lengths()
         self._runs.current.change(settings)
         return SetParametersResult(successful=True)
 
