@@ -22,7 +22,7 @@ from trajeval_ros import simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.io.live import chunk_file
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.ros.output_folder import Autosave, Finisher
+from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.recorded_state import why_no_pair, write_states
 
 
@@ -245,31 +245,33 @@ def test_the_evaluation_of_a_long_run_continues_after_the_end_of_the_node(
 
 
 def test_an_autosave_that_is_late_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [100.0]
-    monkeypatch.setattr("trajeval_ros.ros.output_folder.time.monotonic", lambda: now[0])
-    finisher, autosave = Finisher(tmp_path), Autosave()
-    took_s, written, told = 1.0, [], []
+    pytest.importorskip("rclpy", reason="`make test-ros` has it", exc_type=ImportError)
+    from trajeval_ros.ros.result_writing import ResultWriting
 
+    live = Live(tmp_path / "live", ODOM)
+    live.feed(messages(6))
+    run, now = live.run, [100.0]
+    monkeypatch.setattr("trajeval_ros.ros.output_folder.time.monotonic", lambda: now[0])
     monkeypatch.setattr("sys.executable", "true")
+    took_s, written, told = 1.0, [], []
+    writing = ResultWriting(lambda: run, lambda text, _: told.append(text))
     for _ in range(400):
         now[0] += 1.0
-        if autosave.is_due(finisher, 30.0):
-            autosave.saved()
+        writing.tell(30.0)
+        if run.finisher.is_busy:
             written.append(now[0])
-            finisher.save()
             now[0] += took_s
-            until(finisher.poll, "it is written")
+            until(run.finisher.poll, "it is written")
             took_s *= 2.0
-        told.append(autosave.why_late(finisher, 30.0))
     # Evaluations of 1, 2, 4 and 8 s, and 5 % of a core.
     assert np.diff(written)[:3] == pytest.approx([30.0, 40.0, 80.0], abs=6.0)
-    text = [item for item in told if item]
-    assert [item.partition(" instead of 30 s")[0] for item in text] == [
+    assert [item.partition(" instead of 30 s")[0] for item in told] == [
         "result.json is written every 40 s",
         "result.json is written every 80 s",
         "result.json is written every 160 s",
         "result.json is written every 320 s",
     ]
+    live.end()
 
 
 def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

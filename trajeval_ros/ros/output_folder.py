@@ -17,7 +17,7 @@ from pathlib import Path
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.temporary import collect_leftovers
 
-_MOST_SHARE = 0.05  # of a core, for periodic saving
+MOST_SHARE = 0.05  # of a core, for periodic saving
 _NICE = 10
 
 
@@ -58,7 +58,7 @@ class Finisher:
     @property
     def least_period_s(self) -> float:
         """Shortest period of writing within the limit of CPU time, seconds."""
-        return self._took_s / _MOST_SHARE
+        return self._took_s / MOST_SHARE
 
     def save(self) -> None:
         """Start a process that writes result.json."""
@@ -115,31 +115,3 @@ class Finisher:
         lines = [line.removeprefix("trajeval: ") for line in (printed or "").splitlines()]
         self.trouble = "" if status == 0 else (lines[-1] if lines else f"exit status {status}")
         return status == 0
-
-
-class Autosave:
-    """Decides when result.json is written again, and explains a longer period than requested."""
-
-    def __init__(self) -> None:
-        self._saved_at = time.monotonic()
-        self._told_s = 0.0
-
-    def saved(self) -> None:
-        """Store the time of a save."""
-        self._saved_at = time.monotonic()
-
-    def is_due(self, finisher: Finisher, period_s: float) -> bool:
-        """Return whether to write now; never with a period of 0."""
-        return 0.0 < period_s <= time.monotonic() - self._saved_at and finisher.is_due
-
-    def why_late(self, finisher: Finisher, period_s: float) -> str:
-        """Return why it is written less often than requested; once per doubling of the period."""
-        real_s = finisher.least_period_s
-        if not 0.0 < period_s < real_s or real_s < 2.0 * self._told_s:
-            return ""
-        self._told_s = real_s
-        return (
-            f"result.json is written every {real_s:.0f} s instead of {period_s:g} s, to limit "
-            f"its evaluation to {100 * _MOST_SHARE:.0f} % of a core; poses are written "
-            "immediately; to write results now, call ~/save"
-        )

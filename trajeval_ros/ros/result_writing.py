@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from rclpy.task import Future
@@ -9,7 +10,7 @@ from rclpy.task import Future
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.output_folder import Autosave, Finisher
+from trajeval_ros.ros.output_folder import MOST_SHARE, Finisher
 from trajeval_ros.ros.recorded_state import save, why_no_pair
 
 Log = Callable[[str, Level], object]
@@ -24,7 +25,8 @@ class ResultWriting:
 
     def __init__(self, current: Callable[[], LiveRun], log: Log) -> None:
         self._current, self._log = current, log
-        self._autosaving = Autosave()
+        self._saved_at = time.monotonic()
+        self._told_s = 0.0  # the longer period that was last explained, seconds
         self._saved = Future()  # done when the running process has ended
         self._past: list[Finisher] = []  # finishers of previous runs
         self.has_finished = False  # whether a previous run had pairs
@@ -40,10 +42,9 @@ class ResultWriting:
                 text = failed if item.trouble else f"results of {item.folder} are complete"
                 self._log(text, _level(item.trouble))
         self._past = [item for item in self._past if item.is_busy]
-        if self._autosaving.is_due(finisher, period_s):
+        if 0.0 < period_s <= time.monotonic() - self._saved_at and finisher.is_due:
             self._begin()
-        if late := self._autosaving.why_late(finisher, period_s):
-            self._log(late, Level.NOTE)
+        self._explain_period(finisher.least_period_s, period_s)
 
     async def saved(self) -> tuple[bool, str]:
         """Write result.json; return whether it was written, and where or why not."""
@@ -89,13 +90,24 @@ class ResultWriting:
         run = self._current()
         if not run.has_pairs:
             return why_no_pair(run)
-        self._autosaving.saved()
+        self._saved_at = time.monotonic()
         try:
             save(run)
         except TrajevalError as error:
             self._log(str(error), Level.WARNING)
             return str(error)
         return ""
+
+    def _explain_period(self, least_s: float, asked_s: float) -> None:
+        """Log why results are written less often than requested, once per doubling."""
+        if 0.0 < asked_s < least_s and least_s >= 2.0 * self._told_s:
+            self._told_s = least_s
+            self._log(
+                f"result.json is written every {least_s:.0f} s instead of {asked_s:g} s, to limit "
+                f"its evaluation to {100 * MOST_SHARE:.0f} % of a core; poses are written "
+                "immediately; to write results now, call ~/save",
+                Level.NOTE,
+            )
 
     def _wake(self) -> None:
         saved, self._saved = self._saved, Future()
