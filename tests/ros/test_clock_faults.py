@@ -20,7 +20,6 @@ from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.ros import clock_remarks
 from trajeval_ros.ros.clock_remarks import about_clock_faults
 from trajeval_ros.ros.diagnostics import Status, remarks_about
-from trajeval_ros.ros.live_runs import NewRunRule
 from trajeval_ros.ros.recorded_state import why_no_pair
 
 SECOND = 10**9
@@ -293,7 +292,7 @@ def test_an_estimator_that_stalls_and_catches_up_has_no_faulty_clock(tmp_path: P
 def test_a_step_of_one_clock_is_a_warning_until_a_reset(
     tmp_path: Path, step_s: float, of_groundtruth: bool, rate: float
 ) -> None:
-    live = Live(tmp_path / "live", ODOM, rule=NewRunRule("ignore"))
+    live = Live(tmp_path / "live", ODOM, at_time_jumps=False)
     sides = [
         (TRUTH, GROUNDTRUTH, step_s if of_groundtruth else 0.0),
         (ESTIMATED, ESTIMATE, 0.0 if of_groundtruth else step_s),

@@ -25,7 +25,6 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE
 from trajeval_ros.io.requests.request_from import known_hand_eye
 from trajeval_ros.ros.live_fixes import LiveFixes
-from trajeval_ros.ros.live_runs import NewRunRule
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.recorded_state import write_states
 
@@ -164,7 +163,7 @@ def test_a_restart_parts_the_fixes(tmp_path: Path, batch: int) -> None:
         ODOM,
         groundtruth_kind=FIX_TYPE,
         lever_arm=LEVER_TEXT,
-        rule=NewRunRule(on_restart="reset"),
+        at_restarts=True,
     )
     live.groundtruth.stream.fixes = LiveFixes(FixRule(DATUM))
     for begin in range(0, len(feed), batch):

@@ -25,7 +25,6 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.requests.request_from import known_hand_eye
 from trajeval_ros.ros import live_runs
-from trajeval_ros.ros.live_runs import NewRunRule
 from trajeval_ros.ros.marker_body import MarkerBody
 
 OPTIONS = ("--gauge", "yaw", "--lengths", "2,4")
@@ -179,8 +178,7 @@ def test_a_restart_keeps_the_marker(tmp_path: Path) -> None:
             *messages_of(estimate, ESTIMATE, ODOM),
         ]
         feed = sorted(both, key=lambda item: item[2])
-        restarts = NewRunRule(on_restart="reset")
-        live = Live(tmp_path / name, ODOM, body=body, rule=restarts)
+        live = Live(tmp_path / name, ODOM, body=body, at_restarts=True)
         for batch in batches(feed, range(0, len(feed), 13)):
             live.feed(batch)
         live.end()

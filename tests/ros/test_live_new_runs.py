@@ -19,10 +19,8 @@ from ros_processes import assert_same, offline
 from strategies import make_pair
 
 from trajeval_ros import simulate
-from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.ros import live_runs
-from trajeval_ros.ros.live_runs import NewRunRule
 from trajeval_ros.ros.marker_body import MarkerBody
 
 SECOND = 10**9
@@ -112,7 +110,7 @@ def test_a_restart_begins_a_run(tmp_path: Path, batch: int) -> None:
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
     feed = sorted(written, key=lambda item: item[2])
-    live = Live(tmp_path / "live", ODOM, rule=NewRunRule(on_restart="reset"))
+    live = Live(tmp_path / "live", ODOM, at_restarts=True)
     for begin in range(0, len(feed), batch):
         live.feed(feed[begin : begin + batch])
     live.end()
@@ -160,8 +158,7 @@ def test_restarts_while_the_groundtruth_is_held_begin_runs(
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
     feed = sorted(written, key=lambda item: item[2])
-    restarts = NewRunRule(on_restart="reset")
-    live = Live(tmp_path / "live", ODOM, body=NeverKnown(), rule=restarts)
+    live = Live(tmp_path / "live", ODOM, body=NeverKnown(), at_restarts=True)
     for begin in range(0, len(feed), batch):
         live.feed(feed[begin : begin + batch])
     assert live.run.holds == ends_early
@@ -202,7 +199,7 @@ def test_a_run_that_is_complete_takes_no_memory(tmp_path: Path) -> None:
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
     feed = sorted(written, key=lambda item: item[2])
-    live = Live(tmp_path / "live", ODOM, rule=NewRunRule(on_restart="reset"))
+    live = Live(tmp_path / "live", ODOM, at_restarts=True)
     first = weakref.ref(live.run.estimates[0])
     store = weakref.ref(live.run.estimates[0].evaluator.store)
     gc.collect()
@@ -227,7 +224,7 @@ def test_millimetres_are_no_restarts(tmp_path: Path, batch: int) -> None:
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
     feed = sorted(written, key=lambda item: item[2])
-    live = Live(tmp_path / "live", ODOM, rule=NewRunRule(on_restart="reset"))
+    live = Live(tmp_path / "live", ODOM, at_restarts=True)
     for begin in range(0, len(feed), batch):
         live.feed(feed[begin : begin + batch])
     live.end()
@@ -240,7 +237,7 @@ def test_nothing_is_split_that_nobody_wants_split(tmp_path: Path) -> None:
         *messages_of(groundtruth, GROUNDTRUTH, POSE),
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
-    live = Live(tmp_path / "live", ODOM, rule=NewRunRule("ignore", "ignore"))
+    live = Live(tmp_path / "live", ODOM, at_time_jumps=False)
     feed = sorted(written, key=lambda item: item[2])
     for part in (feed, feed):
         for message in part:
@@ -296,8 +293,9 @@ def test_a_restart_loses_no_pair_of_another_estimate(tmp_path: Path, batch: int)
     common, restarts = two_estimates(33)
     feed = late(sorted([*common, *restarts], key=lambda restart: restart[2]), 11)
     stamps = []
-    for name, rule in (("whole", NewRunRule()), ("parts", NewRunRule(on_restart="reset"))):
-        live = Live(tmp_path / name, ODOM, rule=rule, others=(OTHER,))
+    for at_restarts in (False, True):
+        folder = tmp_path / str(at_restarts)
+        live = Live(folder, ODOM, at_restarts=at_restarts, others=(OTHER,))
         for begin in range(0, len(feed), batch):
             live.feed(feed[begin : begin + batch])
         live.end()
@@ -361,10 +359,3 @@ def test_a_path_that_begins_anew_is_a_run(tmp_path: Path) -> None:
         other = expected_of(tmp_path / str(number), loop)
         assert_same(run["ate"], other["ate"])
         assert_same(run["re"], other["re"])
-
-
-def test_the_rule_knows_its_words() -> None:
-    with pytest.raises(SettingsError, match="on_time_jump"):
-        NewRunRule("segment")
-    with pytest.raises(SettingsError, match="on_restart"):
-        NewRunRule(on_restart="segment")

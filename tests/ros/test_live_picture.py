@@ -19,7 +19,6 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.online.reports import Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.live_runs import NewRunRule
 from trajeval_ros.ros.rerun_output import RerunOutput
 from trajeval_ros.simulation.drifting_odometry import simulate
 
@@ -54,10 +53,10 @@ def feed_of(groundtruth: Trajectory, estimate: Trajectory) -> list[Message]:
 
 
 def drawn(
-    folder: Path, feed: Sequence[Message], rule: NewRunRule | None = None
+    folder: Path, feed: Sequence[Message], *, at_restarts: bool = False
 ) -> tuple[Live, list[Rrd], list[float]]:
     """Draw live runs; return them, their pictures, and the newest run's position errors."""
-    live = Live(folder, ODOM, rule=rule)
+    live = Live(folder, ODOM, at_restarts=at_restarts)
     pictures, published = {live.run: RerunOutput("file", live.run, Gauge.YAW)}, list[float]()
 
     def begin_run(ended: LiveRun, begun: LiveRun) -> None:
@@ -132,8 +131,7 @@ def test_a_restart_of_the_estimator_is_drawn_as_it_is_evaluated(tmp_path: Path) 
     moved = estimate.positions.copy()
     moved[row:] += [30.0, -20.0, 10.0]
     feed = feed_of(groundtruth, dataclasses.replace(estimate, positions=moved))
-    restarts = NewRunRule(on_restart="reset")
-    _, (first, second), _ = drawn(tmp_path / "live", feed, restarts)
+    _, (first, second), _ = drawn(tmp_path / "live", feed, at_restarts=True)
     # Both pictures have the groundtruth that arrived during the run. Until the restart is found,
     # the first one also has the poses after it.
     assert_drawn(first, moved[:row], more=[moved[row:]])

@@ -23,7 +23,7 @@ from trajeval_ros.online.reports import Update
 from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun, RunPlan
-from trajeval_ros.ros.live_runs import LiveRuns, NewRunRule
+from trajeval_ros.ros.live_runs import LiveRuns
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.pose_source import PoseSource, TimeAt
 from trajeval_ros.ros.poses import PoseStream
@@ -77,7 +77,8 @@ class Live:
         groundtruth_kind: str = POSE,
         covariances: CovarianceRequest | None = None,
         available: AvailabilityRule | None = None,
-        rule: NewRunRule | None = None,
+        at_time_jumps: bool = True,
+        at_restarts: bool = False,
         others: Sequence[str] = (),
         **words: Any,
     ) -> None:
@@ -101,7 +102,13 @@ class Live:
         )
         self._words, self._find_offset, self._body = words, find_offset, body
         self._worker = ThreadPoolExecutor(1)
-        self.runs = LiveRuns(self._sources, self._new_run, self._new_folder, rule or NewRunRule())
+        self.runs = LiveRuns(
+            self._sources,
+            self._new_run,
+            self._new_folder,
+            at_time_jumps=at_time_jumps,
+            at_restarts=at_restarts,
+        )
         self.runs.on_begun = lambda _, begun: self.begun.append(begun.began_by)
         self.runs.on_closed = self._close
         self.now_ns = 0

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.outlier_stamps import NEAR_NS
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -28,21 +26,10 @@ _QUIET_S = 0.1
 _LAST_MESSAGES_S = 2.0
 
 
-@dataclass(frozen=True)
-class NewRunRule:
-    """The causes of a new run in a new folder."""
-
-    on_time_jump: str = "reset"  # if timestamps step back: `reset` or `ignore`
-    on_restart: str = "ignore"  # if an estimate restarts: `reset` or `ignore`
-
-    def __post_init__(self) -> None:
-        for name in ("on_time_jump", "on_restart"):
-            require_one_of(getattr(self, name), ("reset", "ignore"), name)
-
-
 class LiveRuns:
     """Passes messages to the run that they belong to.
 
+    A new run begins at steps back of time and at restarts of an estimate, if these are chosen.
     After a step back in the time of one source, the other sources follow soon. Until then their
     messages belong to the previous run, which stays open.
 
@@ -55,17 +42,19 @@ class LiveRuns:
         sources: Sequence[PoseSource],
         begin: Callable[[], LiveRun],
         new_folder: Callable[[], Path],
-        rule: NewRunRule,
+        *,
+        at_time_jumps: bool = True,
+        at_restarts: bool = False,
     ) -> None:
         self._sources, self._begin, self._new_folder = sources, begin, new_folder
-        self._rule = rule
+        self._at_time_jumps, self._at_restarts = at_time_jumps, at_restarts
         self.on_begun: Callable[[LiveRun, LiveRun], object] = lambda *_: None
         self.on_closed: Callable[[LiveRun, list[str]], object] = lambda *_: None
         self._newest: list[int | None] = [None for _ in sources]  # timestamps
         self._ending: list[tuple[LiveRun, float]] = []  # and the times at which they end at last
         self._steps: dict[int, Event] = {}  # newest steps back of time, by source
         for source in sources:
-            source.stream.starts_new_run = rule.on_time_jump == "reset"
+            source.stream.starts_new_run = at_time_jumps
         self._enter(begin())
 
     @property
@@ -156,7 +145,7 @@ class LiveRuns:
         """Pass the messages of all sources to a run, the newest one."""
         self.current = run
         self._run_of = [run for _ in self._sources]
-        run.end_at_restarts(self._rule.on_restart == "reset")
+        run.end_at_restarts(self._at_restarts)
         for place, source in enumerate(self._sources):
             source.stream.begin_run(run.status_of(place))
         write_states(run)
@@ -165,7 +154,7 @@ class LiveRuns:
         """Make a run the newest one; messages continue to go to the previous one."""
         ended, self.current = self.current, begun
         ended.end_at_restarts(False)  # a run between this one and the next is not possible
-        begun.end_at_restarts(self._rule.on_restart == "reset")
+        begun.end_at_restarts(self._at_restarts)
         self._ending.append((ended, time.monotonic() + FOLLOWS_WITHIN_S))
         write_states(begun)
         self.on_begun(ended, begun)
@@ -237,7 +226,7 @@ class LiveRuns:
 
         A step back is longer than one second; 0 stands for none.
         """
-        if self._rule.on_time_jump == "ignore" or not len(stamps):
+        if not self._at_time_jumps or not len(stamps):
             yield slice(None), 0
             return
         newest, self._newest[place] = self._newest[place], int(stamps[-1])

@@ -24,10 +24,18 @@ from trajeval_ros.ros.event_remarks import about_event, lasts
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_outputs import EstimateOutputs, FrameBroadcaster, StreamOutputs
 from trajeval_ros.ros.live_run import LiveRun, RunPlan
-from trajeval_ros.ros.live_runs import LiveRuns, NewRunRule
+from trajeval_ros.ros.live_runs import LiveRuns
 from trajeval_ros.ros.marker_body import MarkerBody, StaticTransform
 from trajeval_ros.ros.output_folder import make_folder
-from trajeval_ros.ros.parameter_table import PARAMETERS, PAUSE, RESET, SAVE, START, STOP
+from trajeval_ros.ros.parameter_table import (
+    PARAMETERS,
+    PAUSE,
+    RESET,
+    RESET_RUN,
+    SAVE,
+    START,
+    STOP,
+)
 from trajeval_ros.ros.point_topic import PointTopic
 from trajeval_ros.ros.pose_source import PoseSource, TimeAt, name_apart
 from trajeval_ros.ros.recorded_state import why_no_pair, write_states
@@ -122,7 +130,8 @@ class EvaluatorNode:
             sources,
             lambda: self._new_run(sources),
             self._new_folder,
-            NewRunRule(values["on_time_jump"], values["on_restart"]),
+            at_time_jumps=values["on_time_jump"] == RESET_RUN,
+            at_restarts=values["on_restart"] == RESET_RUN,
         )
         runs.on_begun, runs.on_closed = self._begin_run, self._close_run
         return runs

@@ -17,7 +17,8 @@ SERVICES = {
     PAUSE: "Drops messages until ~/start. The run stays.",
     START: "Starts a new run in a new folder after ~/stop, and continues the run after ~/pause.",
 }
-ON_JUMP = ("reset", "ignore")
+RESET_RUN = "reset"
+ON_JUMP = (RESET_RUN, "ignore")
 
 
 @dataclass(frozen=True)
