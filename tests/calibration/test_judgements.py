@@ -97,19 +97,19 @@ def test_a_fit_of_few_directions_moves_along_them_alone(
     fixed = [1, 2, 3, 4, 6, 8]
     assert not result.covariance[fixed].any()
     seen = observability(increments, result)
-    assert set(seen) == {"offset", "skew", "turn", "lever"}
+    assert set(seen) == {"offset", "skew", "rotation", "lever"}
 
 
 def test_what_is_fitted_depends_on_sensors_and_gauge(long: tuple[Trajectory, Trajectory]) -> None:
     truth, estimate = long
     bare = dataclasses.replace(truth, quaternions=None)
     nothing = dataclasses.replace(estimate, quaternions=None)
-    body = {"offset": 1, "turn": 3, "lever": 3}
+    body = {"offset": 1, "rotation": 3, "lever": 3}
     for one, other, gauge, skew, expected in (
         (truth, estimate, Gauge.SE3, False, body),
         (truth, estimate, Gauge.SIM3, True, {**body, "scale": 1, "skew": 1}),
-        (bare, estimate, Gauge.YAW, False, {"offset": 1, "turn": 1, "lever": 3}),
-        (bare, nothing, Gauge.SE3, False, {"offset": 1, "turn": 3}),
+        (bare, estimate, Gauge.YAW, False, {"offset": 1, "rotation": 1, "lever": 3}),
+        (bare, nothing, Gauge.SE3, False, {"offset": 1, "rotation": 3}),
     ):  # fmt: skip
         solution = solve(Increments(one, other), gauge, skew)
         assert solution is not None

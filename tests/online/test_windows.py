@@ -19,26 +19,19 @@ from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import PairedStates
-from trajeval_ros.online.window import PairStore, Window
+from trajeval_ros.online.window import Window
 
 
 @pytest.mark.parametrize("window", ["5s", "4m", "37"])
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SIM3])
 def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None:
     groundtruth, estimate = make_pair(5, 600)
-    record: list[PairedStates] = []
-    evaluator = OnlineEvaluator(
-        OnlineSettings(Protocol(gauge=gauge), Window.parse(window)),
-        record.append,
-    )
-    feed(evaluator, groundtruth, estimate)
-    snapshot = evaluator.snapshot()
-    store = PairStore()
-    for pairs in record:
-        store.add(pairs)
-    all_pairs = store.pairs(slice(None))
-    stamps = all_pairs.stamps
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=gauge), Window.parse(window)))
+    whole = OnlineEvaluator(OnlineSettings(Protocol(gauge=gauge)))
+    for live in (evaluator, whole):
+        feed(live, groundtruth, estimate)
+    snapshot, all_pairs = evaluator.snapshot(), whole.association()
+    stamps = all_pairs.groundtruth.stamps
     along = all_pairs.groundtruth.travelled
     inside = {
         "5s": stamps >= stamps[-1] - 5 * SECOND,

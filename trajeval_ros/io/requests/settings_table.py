@@ -161,10 +161,9 @@ _ROWS = (
         node_choices=(AUTO, "linear", AT_GROUNDTRUTH),
         help=f"Pairing method. {AUTO} (default): {AT_GROUNDTRUTH} for points and GNSS fixes, "
         "otherwise linear. linear: interpolate the groundtruth at the estimate's timestamps. "
-        f"{AT_GROUNDTRUTH}: interpolate the estimate at the groundtruth's timestamps. nearest: "
-        "pair nearest timestamps one to one. continuous: model the groundtruth and its "
-        "uncertainty over time, and compute likelihoods. rpg, evo: as these programs. index: "
-        "pair rows.",
+        f"{AT_GROUNDTRUTH}: interpolate the estimate at the groundtruth's. nearest: pair nearest "
+        "timestamps one to one. continuous: model the groundtruth over time, and compute "
+        "likelihoods. rpg, evo: as these programs. index: pair rows.",
         node_help="Pairing method: linear interpolates the groundtruth at the estimate's "
         f"timestamps, {AT_GROUNDTRUTH} the estimate at the groundtruth's. {AUTO}: "
         f"{AT_GROUNDTRUTH} for NavSatFix and PointStamped, otherwise linear."),
