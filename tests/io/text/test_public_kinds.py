@@ -164,6 +164,45 @@ KINDS: dict[str, tuple[str, bool, bool]] = {
         True,
     ),
     "COLMAP": (IMAGES, True, False),
+    "GPST of RTKLIB": (
+        rows(
+            DATES,
+            CLOCKS,
+            PLACES,
+            ZEROS[:, :1] + 9,
+            separator="  ",
+            header="%  GPST  e-baseline(m)  n-baseline(m)  u-baseline(m)  ns",
+        ),
+        False,
+        True,
+    ),
+    "a date and a time with commas": (
+        rows(DATES, CLOCKS, PLACES, separator=",", header="date,time,x,y,z"),
+        False,
+        True,
+    ),
+    "seconds and nanoseconds without a header": (rows(HALF, PLACES, XYZW), True, True),
+    "a time of something": (
+        rows(TIMES, SECONDS, PLACES, separator=",", header="compute_time,timestamp,x,y,z"),
+        False,
+        True,
+    ),
+    "a position of something": (
+        rows(
+            SECONDS,
+            PLACES + 1,
+            PLACES,
+            separator=",",
+            header="time,target_x,target_y,target_z,x,y,z",
+        ),
+        False,
+        True,
+    ),
+    "a word before the names": (
+        rows(SECONDS, PLACES, WXYZ, header="# format: timestamp x y z qw qx qy qz"),
+        True,
+        True,
+    ),
     "commas, seconds": (rows(SECONDS, PLACES, XYZW, separator=","), True, True),
     "commas, nanoseconds": (rows(STAMPS, PLACES, WXYZ, separator=","), True, True),
 }
@@ -226,6 +265,23 @@ REFUSED: dict[str, tuple[str, int]] = {  # text, and which of the suggested opti
     ),
     "two bodies": (
         rows(SECONDS, PLACES, ZEROS[:, :3], XYZW, header="time x y z x y z qx qy qz qw"), 0,
+    ),
+    "two positions": (
+        rows(SECONDS, PLACES, PLACES + 1, XYZW, separator=",",
+             header="time,a_position_x,a_position_y,a_position_z,b_position_x,b_position_y,"
+                    "b_position_z,qx,qy,qz,qw"),
+        0,
+    ),
+    "more names than columns": (
+        rows(SECONDS, PLACES, XYZW, header="# timestamp x y z qx qy qz qw extra"), 0,
+    ),
+    "millimetres without a name of the rotation": (
+        rows(SECONDS, 1e3 * PLACES, WXYZ, separator=",",
+             header="time,x [mm],y [mm],z [mm],a0,a1,a2,a3"),
+        1,
+    ),
+    "degrees without a unit": (
+        rows(SECONDS, PLACES, np.degrees(ANGLES), header="time x y z roll pitch yaw"), 0,
     ),
     "angles without a header": (rows(SECONDS, PLACES, ANGLES), 0),
     "dates without a header": (rows(DATES, CLOCKS, PLACES, XYZW), 0),
@@ -294,7 +350,9 @@ def test_a_time_in_another_unit_is_refused(unit: str, tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     header = f"time [{unit}],x,y,z,qx,qy,qz,qw"
     path.write_text(rows(TIMES, PLACES, XYZW, separator=",", header=header))
-    with pytest.raises(InputError, match=f"unit of the time, '{unit}', is unknown; convert it"):
+    with pytest.raises(
+        InputError, match=rf"unit of 'time \[{unit}\]', .*, is unknown; convert it"
+    ):
         read_trajectory(path)
 
 

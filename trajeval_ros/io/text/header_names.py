@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.text.layouts import example_for
 from trajeval_ros.io.text.names import (
     CLOCK,
     FRAME,
     GROUPS,
     IGNORED,
-    NANOSEC,
+    PARTS,
     RECEIVED,
     ROTATIONS,
+    TIMES,
     Layout,
 )
-from trajeval_ros.io.text.stamps import is_clock
+from trajeval_ros.io.text.stamps import are_parts, goes_forward, is_clock
 from trajeval_ros.io.text.table import TextTable
 
 # Patterns are compiled on use, since most files have no header.
@@ -28,48 +33,67 @@ _UNIT = r"\[([^\[\]]*)\]|\(([^()]*)\)"
 _UNITS = {
     word: unit
     for unit, words in {
-        "ns": "ns nsec nsecs nanosec nanosecs nanoseconds",
-        "us": "us usec usecs microseconds micros",
-        "ms": "ms msec msecs milliseconds millis",
-        "s": "s sec secs seconds",
+        "ns": "ns nsec nsecs nanosec nanosecs nanosecond nanoseconds nanos",
+        "us": "us usec usecs microsec microsecond microseconds micros",
+        "ms": "ms msec msecs millisec millisecond milliseconds millis",
+        "s": "s sec secs second seconds",
         "deg": "deg degree degrees °",
         "rad": "rad radian radians",
+        "m": "m metre metres meter meters",
+        "mm": "mm millimetre millimetres millimeter millimeters",
+        "cm": "cm centimetre centimetres centimeter centimeters",
+        "km": "km kilometre kilometres kilometer kilometers",
+        "min": "min minute minutes",
+        "h": "h hour hours",
+        "d": "d day days",
     }.items()
     for word in words.split()
 }
 _OTHER_SPEED = r"[\[(](?!m[ /])[a-z]+ ?(?:/ ?[sh]|s\^?-1)|[\[(]m ?/ ?h"  # not m/s
-_LENGTH = rf"{_UNIT}|[^a-z0-9](mm|cm|k?m)$"
+_TIME_UNITS, _LENGTHS = ("s", "ms", "us", "ns"), ("m", "mm", "cm", "km")
+_NO_UNITS_OF_TIME = r"\d.*|.*s|min|h|d"  # others, such as [utc], do not say how long a step is
 _TIME = (
-    r"(?:t|ts|utime|epoch|rostime|secs?|(?:gps|utc|ros|unix)_?time|t_?(?:ms|us|ns|s|secs?)"
-    r"|[nu]secs?|nanosecs?|ns|time.*|stamp.*|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)"
-    r"(?:_.*)?)"
+    r"(?:t|ts|utime|epoch|rostime|gpst|(?:gps|utc|ros|unix)_?time|time.*|stamp.*"
+    r"|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?)"
 )
-_NANOSECONDS = r"(?:.*_)?(?:nano|n)secs?"  # of a timestamp of ROS, next to its seconds
-_RECEIVED = r"received(?:_(?:s|ms|us|ns))?"
+_EXACT_TIME = "t|time|timestamp|stamp"  # preferred to times of something, such as track_time
+_RECEIVED = "received"
 _FRAME = r"frame|frame_?(?:index|number|num|no|id)|index|image|image_id|id|no|num|pose_index"
 # Patterns of quantities, and the name that the groups of the match make.
 _FRAMES = r"(?:_(?:world|odom|map|device|body|imu|cam(?:era)?|enu|ecef|local|global))*"
+_POSITION = (
+    r"(?:(?:t|p|pos|position|p_[a-z_]+|ecef_p|trans|loc(?:ation)?|pose)?_?"
+    r"|(?:.*_)?(?:position|translation|point|pos)_)([xyz])(?:_?pos)?" + _FRAMES
+)
+_QUATERNION = (
+    r"(?:(?:q|quat|quaternion|orientation|q_[a-z_]+)_?"
+    r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_)([xyzw])" + _FRAMES
+)
 _PATTERNS = (
     (r"(?:.*_)?m_?([123])_?([1-4])", "m{}{}"),
     (r"p([rt])(11|12|13|22|23|33)", "p{}{}"),
-    (r"(?:(?:t|p|pos|position|p_[a-z_]+|ecef_p|trans|loc(?:ation)?|pose)?_?"
-     r"|(?:.*_)?(?:position|translation|point|pos)_)([xyz])(?:_?pos)?" + _FRAMES
-     + r"(?:_(?:mm|cm|m|km))?", "{}"),
-    (r"(?:(?:q|quat|quaternion|orientation|q_[a-z_]+)_?"
-     r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_)([xyzw])" + _FRAMES, "q{}"),
+    (_POSITION, "{}"),
+    (_QUATERNION, "q{}"),
     (r"(?:.*_)?twist_linear_([xyz])", "body_v{}"),
     (r"(?:(?:v|vel|velocity|v_[a-z_]+)_?|(?:.*_)?linear_velocity_)([xyz])", "v{}"),
     (r"b_?[wg](?:_[a-z_]+)?_?([xyz])", "bw{}"),
     (r"b_?a(?:_[a-z_]+)?_?([xyz])", "ba{}"),
-    (r"(?:.*_)?(roll|pitch|yaw)(?:_(?:deg|degrees|rad|radians))?", "{}"),
+    (r"(?:.*_)?(roll|pitch|yaw)", "{}"),
 )  # fmt: skip
 _ANGLES = ("roll", "pitch", "yaw")
-_UP = "(?:up|alt|altitude|height|elevation)(?:_m)?"
+_POSSIBLE = {  # units of quantities; others have one unit alone
+    **dict.fromkeys("xyz", _LENGTHS),
+    **dict.fromkeys(("height", "sigma_east", "sigma_north", "sigma_up"), ("m",)),
+    **dict.fromkeys(("latitude", "longitude"), ("deg",)),
+    **dict.fromkeys(_ANGLES, ("rad",)),
+}
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw", *_ANGLES, *(f"{angle}_deg" for angle in _ANGLES))
+_UP = "up|alt|altitude|height|elevation"
 # Sets that are used only if all their names are present and no other name is the quantity, with
 # the columns that they also need.
 _SETS: tuple[tuple[dict[str, str], set[str]], ...] = (
-    ({"x": "east(?:ing)?(?:_m)?", "y": "north(?:ing)?(?:_m)?", "z": f"{_UP}|z"}, set()),
-    ({"x": "e", "y": "n", "z": "u"}, set()),
+    ({"x": "east(?:ing)?", "y": "north(?:ing)?", "z": f"{_UP}|z"}, set()),
+    ({"x": "e(?:_baseline)?", "y": "n(?:_baseline)?", "z": "u(?:_baseline)?"}, set()),
     ({"x": "x_east", "y": "y_north", "z": "z_up"}, set()),
     ({"z": _UP}, {"x", "y"}),
     ({"qw": "w"}, {"qx", "qy", "qz"}),
@@ -78,12 +102,12 @@ _SETS: tuple[tuple[dict[str, str], set[str]], ...] = (
     ({"roll": "phi", "pitch": "theta", "yaw": "psi"}, set()),
 )
 _FIXES = {  # used only if both latitude and longitude are present
-    "latitude": r"(?:.*_)?(?:lat|latitude)(?:_?deg)?",
-    "longitude": r"(?:.*_)?(?:lon|lng|long|longitude)(?:_?deg)?",
-    "height": r"(?:.*_)?(?:h|height|alt|altitude|ellipsoidal_?height|elevation|h_ell)(?:_?m)?",
-    "sigma_east": r"(?:s|sd|std|sigma)_?(?:e|east|x)(?:_?m)?",
-    "sigma_north": r"(?:s|sd|std|sigma)_?(?:n|north|y)(?:_?m)?",
-    "sigma_up": r"(?:s|sd|std|sigma)_?(?:u|up|z)(?:_?m)?",
+    "latitude": r"(?:.*_)?(?:lat|latitude)",
+    "longitude": r"(?:.*_)?(?:lon|lng|long|longitude)",
+    "height": r"(?:.*_)?(?:h|height|alt|altitude|ellipsoidal_?height|elevation|h_ell)",
+    "sigma_east": r"(?:s|sd|std|sigma)_?(?:e|east|x)",
+    "sigma_north": r"(?:s|sd|std|sigma)_?(?:n|north|y)",
+    "sigma_up": r"(?:s|sd|std|sigma)_?(?:u|up|z)",
     "fix_status": r"(?:.*_)?(?:fix_?)?status(?:_status)?",
 }
 _COVARIANCE = r"(?!.*twist)(?:.*_)?(?:c|cov|covariance)_?(\d+)(?:_(\d))?"
@@ -112,27 +136,77 @@ _LABEL = (
     r"|q|num|count|sats?|satellites|ns|nsat|age|status|fix|service|duration|dt|week|seconds"
     r"|v|w|a|b|d|l|marker|mean|tracking|lidar|image|file|path|frame)" + _END
 )
-_COMPASS = r"(?:.*_)?(?:heading|azimuth|course|bearing|track)(?:_deg)?"
+_COMPASS = r"(?:.*_)?(?:heading|azimuth|course|bearing|track)"
+_MOST_NAMES = 100  # in a header of a pose that is no table
 _LONGEST_NAME = 80  # characters: patterns need quadratic time for longer ones
 
 
 def split_header(line: str, separator: str) -> list[str]:
     """Return the names in a header line."""
-    line = re.sub(r"\A[#%\s]*(?:fields\s+)?", "", line)
-    line = line.encode("latin-1", "replace").decode("utf-8", "replace")
+    line = re.sub(r"\A[#%\s]*(?:(?:fields|format|columns|header)\s*[:=]?\s+)?", "", line)
+    with contextlib.suppress(UnicodeError):
+        line = line.encode("latin-1").decode("utf-8")
+    line = re.sub("[µμ]", "u", line)
     if not separator:  # a unit after a space belongs to the name before it
         line = re.sub(rf" (?={_UNIT})", "", " ".join(line.split()))  # runs of spaces are slow
     return [name.strip(" \"'\t\r\n") for name in line.split(separator or None)]
 
 
+def name_and_unit(name: str) -> tuple[str, str]:
+    """Return a name in lower case, with _ between its words, and its unit, "" if it has none.
+
+    The unit is in brackets or the last word: `time [ms]`, `x_mm`, `yaw/deg`.
+    """
+    word = plain_of(name)
+    match = re.search(_UNIT, name)
+    bracket = (match[1] or match[2] or "").strip().lower() if match else ""
+    before, _, last = word.rpartition("_")
+    unit = _UNITS.get(last, "")
+    if before and unit and (unit not in ("min", "h", "d") or re.fullmatch(_TIME, before)):
+        word = before.removesuffix("_in")
+    elif before or unit not in _TIME_UNITS:
+        unit = ""
+    if bracket and not bracket.isdigit():
+        unit = _UNITS.get(bracket, bracket)
+    return word, "us" if word == "utime" else unit
+
+
 def plain_of(name: str) -> str:
-    """Return a name in lower case, with _ between its words and without its unit."""
+    """Return a name in lower case, with _ between its words and without brackets."""
     name = name[: 2 * _LONGEST_NAME]
     name = re.sub(r"\A[^(]*\(\s*(?=\w+\Z)", "", re.sub(r"\s*\)\Z(?<!\()", ")", name))
     name = name[:-1] if name.endswith(")") and "(" not in name else name
     name = re.sub(r"\[(\d)\]", r"_\1", name)
-    name = re.sub(r"(?<=[a-z])(?=(?:[A-Z][a-z]|Ns|Us|Ms)[a-z]*)|(?<=[A-Z])(?=Time\b)", "_", name)
+    name = re.sub(
+        r"(?<=[a-z])(?=(?:[A-Z][a-z]|Ns|Us|Ms)[a-z]*)|(?<=[A-Z])(?=Time\b)"
+        r"|(?:(?<=time)|(?<=stamp))(?=[mun]s)",
+        "_",
+        name,
+    )
     return re.sub(r"[^a-z0-9]+", "_", re.sub(_UNIT, "", name).lower()).strip("_")[:_LONGEST_NAME]
+
+
+def are_names(names: Sequence[str]) -> bool:
+    """Return whether most words name a part of a pose, so that they are no prose."""
+    plain = [name_and_unit(name)[0] for name in names[:_MOST_NAMES]]
+    parts = sum(
+        bool(re.fullmatch(_POSITION, word) or re.fullmatch(_QUATERNION, word)) for word in plain
+    )
+    return parts >= 3 and 2 * parts > len(names)
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The names of the columns of a table."""
+
+    names: Sequence[str]  # as written
+    plain: Sequence[str]  # in lower case, without units
+    units: Sequence[str]  # "" for columns without
+    table: TextTable
+
+    def places(self, pattern: str) -> list[int]:
+        """Return the columns whose names a pattern matches."""
+        return [at for at, word in enumerate(self.plain) if re.fullmatch(pattern, word)]
 
 
 def from_header(names: Sequence[str], table: TextTable) -> Layout | None:
@@ -141,33 +215,44 @@ def from_header(names: Sequence[str], table: TextTable) -> Layout | None:
     Raises:
         InputError: A quantity is missing that a column with an unknown name may be.
     """
-    plain = [plain_of(name) for name in names]
-    columns = _columns(names, plain, table.values, ~table.texts)
+    plain, units = map(list, zip(*map(name_and_unit, names), strict=True))
+    header = _Header(names, plain, units, table)
+    columns, rivals = _columns(header)
     layout = Layout("", tuple(columns))
+    places = layout.groups.get("position") or layout.groups.get("planar", ())
+    layout = dataclasses.replace(
+        layout, unit=" and ".join(dict.fromkeys(units[place] or "m" for place in places)) or "m"
+    )
     known = [
         name != IGNORED or re.fullmatch(f"{_QUANTITY}|{_LABEL}|{_COMPASS}|", word) is not None
         for name, word in zip(columns, plain, strict=True)
     ]
     if set(columns) == {IGNORED} and 2 * sum(known) < len(names):
         return None
-    time_unit = _bracket(names[layout.time or 0]) if layout.time_name == "t" else ""
-    if time_unit not in _UNITS and re.search(
-        r"\d|s$|\A(?:min|minutes?|h|hours?|d|days?)\Z", time_unit
-    ):
+    _check(header, columns)
+    if rivals:
+        place, quantity = next(iter(rivals.items()))
+        swapped = [
+            rivals.get(at, IGNORED if name in rivals.values() else name)
+            for at, name in enumerate(columns)
+        ]
         raise InputError(
-            f"the unit of the time, {time_unit!r}, is unknown; convert it to s, ms, us or ns, "
-            "and write that unit in the header"
+            f"its header names {names[columns.index(quantity)]!r} and {names[place]!r}, as for "
+            f"several bodies; name the columns of one: {{option}} '{layout.named()}' or "
+            f"{{option}} '{layout.with_columns(swapped).named()}'"
         )
     unknown = [
         at
         for at, column in enumerate(table.values.T)
         if not known[at] and not _is_constant(column)
     ]
-    quantity, examples = _missing(layout, unknown, table, plain)
+    quantity, examples = _missing(header, layout, unknown)
     if quantity:
         words = ", ".join(repr(names[at][:40]) for at in unknown[:6])
         doubt = f", and the meaning of {words} is unknown" if unknown else ""
-        options = " or ".join(f"{{option}} '{example[:300]}'" for example in examples)
+        options = " or ".join(
+            f"{{option}} '{layout.with_columns(example).named()[:300]}'" for example in examples
+        )
         raise InputError(
             f"no column has a name of a {quantity} ({', '.join(names)[:200]}){doubt}; if one is "
             f"there, name the columns: {options}"
@@ -183,17 +268,37 @@ def from_header(names: Sequence[str], table: TextTable) -> Layout | None:
     if compass and not layout.is_geographic and set(ROTATIONS).isdisjoint(layout.groups):
         name = names[compass[0]]
         note += f"; {name} may count from north: no rotations are read; name it yaw if not"
-    return Layout(_title(layout), tuple(columns), note, unit=_unit_of(names, layout))
+    return dataclasses.replace(layout, name=_title(layout), note=note)
+
+
+def _check(header: _Header, columns: Sequence[str]) -> None:
+    """Refuse a unit that a quantity can't have, and text in the place of a position."""
+    for name, column, unit in zip(header.names, columns, header.units, strict=True):
+        possible = _TIME_UNITS if column in TIMES else _POSSIBLE.get(column, ())
+        is_unit = column not in TIMES or re.fullmatch(_NO_UNITS_OF_TIME, unit)
+        if unit and possible and unit not in possible and is_unit:
+            raise InputError(
+                f"the unit of {name[:40]!r}, {unit!r}, is unknown; convert it to "
+                f"{' or '.join(possible)}, and write that unit in the header"
+            )
+    table = header.table
+    for at in np.flatnonzero(table.texts).tolist():
+        match = re.fullmatch(_POSITION, header.plain[at])
+        if match and match[1] not in columns:
+            raise InputError(
+                f"line {table.first + 1}, column {at + 1} ({header.names[at][:40]}): "
+                f"{table.sample[0][at][:40]!r} is not a number; correct the column"
+            )
 
 
 def _missing(
-    layout: Layout, unknown: Sequence[int], table: TextTable, plain: Sequence[str]
-) -> tuple[str, list[str]]:
+    header: _Header, layout: Layout, unknown: Sequence[int]
+) -> tuple[str, list[list[str]]]:
     """Return the quantity that a column with an unknown name may be, "" if all is known.
 
     With it, names of all columns as examples, the quantity included.
     """
-    columns = list(layout.columns)
+    columns, plain, units, table = list(layout.columns), header.plain, header.units, header.table
     has_rotation = not set(ROTATIONS).isdisjoint(layout.groups)
     is_unpaired = layout.time_name in ("", FRAME)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
@@ -202,6 +307,7 @@ def _missing(
             for at, column in enumerate(table.values.T)
             if is_unpaired
             and columns[at] == IGNORED
+            and units[at] in ("", *_TIME_UNITS)
             and not re.fullmatch(_QUANTITY, plain[at])
             and is_clock(column)
         ]
@@ -209,28 +315,22 @@ def _missing(
             np.linalg.norm(table.values[:, at : at + 4], axis=1) for at in range(len(columns) - 3)
         ]
     if not layout.has_places:
-        return "position", [example_for(table, columns)]
+        return "position", [example_for(table, columns).split()]
     if clocks:
         columns = [IGNORED if name == FRAME else name for name in columns]
-        columns[clocks[0]] = "t"
-        return "time", [" ".join(columns)]
+        words = [units[clocks[0]], *(_UNITS.get(word) for word in plain[clocks[0]].split("_"))]
+        unit = next((word for word in words if word in _TIME_UNITS), "")
+        columns[clocks[0]] = f"t_{unit}".rstrip("_")
+        return "time", [columns]
     if "planar" in layout.groups and unknown:
         columns[unknown[0]] = "z"
-        return "height", [" ".join(columns)]
+        return "height", [columns]
     four = [at for at, length in enumerate(lengths) if (np.abs(length - 1.0) < 1e-2).all()]
     if not layout.is_geographic and not has_rotation and four:  # neighbours of unit length
         before, after = columns[: four[0]], columns[four[0] + 4 :]
         orders = "qx qy qz qw", "qw qx qy qz"
-        return "rotation", [" ".join([*before, order, *after]) for order in orders]
+        return "rotation", [[*before, *order.split(), *after] for order in orders]
     return "", []
-
-
-def _unit_of(names: Sequence[str], layout: Layout) -> str:
-    """Return the unit in brackets, or at the end, of the names of positions."""
-    places = layout.groups.get("position") or layout.groups.get("planar", ())
-    matches = [re.search(_LENGTH, names[place].lower()) for place in places]
-    units = [match[match.lastindex or 0].strip() or "m" if match else "m" for match in matches]
-    return " and ".join(dict.fromkeys(unit for unit in units if not unit.isdigit())) or "m"
 
 
 def _is_constant(column: Floats) -> bool:
@@ -238,83 +338,103 @@ def _is_constant(column: Floats) -> bool:
     return len(column) > 1 and bool((finite == finite[:1]).all())
 
 
-def _bracket(name: str) -> str:
-    """Return the words in the brackets of a name, in lower case."""
-    match = re.search(_UNIT, name)
-    return (match[1] or match[2] or "").strip().lower() if match else ""
+def _columns(header: _Header) -> tuple[list[str], dict[int, str]]:
+    """Return the name in `NAMES` of every column, `_` if unknown or used before.
 
-
-def _unit(name: str, word: str) -> str:
-    """Return the unit that a name has in brackets or `word`, its plain form, at the end."""
-    return _UNITS.get(_bracket(name)) or _UNITS.get(word.rpartition("_")[2], "")
-
-
-def _columns(
-    names: Sequence[str], plain: Sequence[str], sample: Floats, numeric: Booleans
-) -> list[str]:
-    """Return the name in `NAMES` of every column; `_` if unknown or used before."""
-    columns = [IGNORED] * len(names)
+    With it, columns that have an equal claim to the name of another, by index. The shortest name
+    wins: `x` is no rival of `target_x`, but `a_x` is one of `b_x`.
+    """
+    plain, units, places = header.plain, header.units, header.places
+    columns = [IGNORED] * len(plain)
+    rivals: dict[int, str] = {}
 
     def name(place: int, word: str) -> None:
         if word not in columns and columns[place] == IGNORED:
             columns[place] = word
 
-    def places(pattern: str) -> list[int]:
-        return [at for at, word in enumerate(plain) if re.fullmatch(pattern, word)]
-
     for place in places(_RECEIVED):
         name(place, RECEIVED)
-    _name_time(names, plain, places, name, sample)
+    _name_time(header, name)
     for place, word in _covariances(plain).items():
         name(place, word)
     theta_is_yaw = not places("phi|psi")
+    is_global = ["ecef" in word for word in plain]  # next to the same in a local frame (Aria)
+    by_length = sorted(range(len(plain)), key=lambda at: (is_global[at], len(plain[at])))
     for pattern, template in _PATTERNS:
-        for place, word in enumerate(plain):
-            match = re.fullmatch(
-                pattern, re.sub(r"\Atheta", "yaw", word) if theta_is_yaw else word
-            )
-            if match is None or not numeric[place]:
+        for place in by_length:
+            word = re.sub(r"\Atheta", "yaw", plain[place]) if theta_is_yaw else plain[place]
+            match = re.fullmatch(pattern, word)
+            if match is None or header.table.texts[place]:
                 continue
             quantity = template.format(*match.groups())
-            if quantity in _ANGLES and _unit(names[place], word) == "deg":
+            if quantity in _ANGLES and units[place] == "deg":
                 quantity += "_deg"
-            if "v" not in quantity or not re.search(_OTHER_SPEED, names[place].lower()):
-                name(place, quantity)
+            if "v" in quantity and (
+                units[place] in (*_TIME_UNITS, *_LENGTHS)
+                or re.search(_OTHER_SPEED, header.names[place].lower())
+            ):
+                continue
+            name(place, quantity)
+            if columns[place] == IGNORED and quantity in _POSE:
+                chosen = columns.index(quantity)
+                is_same = plain[chosen] == plain[place] and units[chosen] != units[place]
+                is_same |= is_global[chosen] != is_global[place]
+                if quantity not in rivals.values() and not (
+                    is_same or plain[place].endswith(f"_{plain[chosen]}")
+                ):
+                    rivals[place] = quantity
     if places(_FIXES["latitude"]) and places(_FIXES["longitude"]):
         for word, pattern in _FIXES.items():
             for place in places(pattern)[:1]:
                 name(place, word)
-        return columns
+        return columns, {}
     for patterns, needed in _SETS:
         at = {word: places(pattern) for word, pattern in patterns.items()}
         if all(at.values()) and not set(patterns) & set(columns) and needed <= set(columns):
             for word, all_at in at.items():
                 name(all_at[0], word)
-    return columns
+    return columns, rivals
 
 
-def _name_time(names, plain, places, name, sample) -> None:  # type: ignore[no-untyped-def]
+def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
     """Name the column of timestamps, preferably of the header; without one, frame numbers."""
-    joined = {  # places of nanoseconds, by that of their seconds
-        place: part
-        for part in places(_NANOSECONDS)
-        for place in places(re.sub("(?:nano|n)secs?$", "secs?", plain[part]))
+    plain, units, sample = header.plain, header.units, header.table.values
+    clocks = list(map(goes_forward, sample.T))
+    times = [
+        at
+        for at, word in enumerate(plain)
+        if re.fullmatch(_TIME, word)
+        or (clocks[at] and word in _UNITS and units[at] in _TIME_UNITS)
+    ]
+    stems = ["" if word in _UNITS else word for word in plain]
+    joined = {  # columns of the parts of whole seconds, by that of the seconds
+        at: part
+        for at, part in itertools.permutations(range(len(plain)), 2)
+        if units[at] == "s"
+        and units[part] in PARTS
+        and stems[at] == stems[part]
+        and 2 * np.sum(are_parts(sample[:, part], units[part])) >= len(sample)
+        and 2 * np.sum(sample[:, at] == np.round(sample[:, at])) >= len(sample)
     }
-    constant = list(map(_is_constant, sample.T))
-    times = [place for place in places(_TIME) if place not in joined.values()]
+    times = [place for place in {*times, *joined} if place not in joined.values()]
     times.sort(
-        key=lambda at: ("header_stamp" not in plain[at], at not in joined, constant[at], at)
+        key=lambda at: (
+            "header_stamp" not in plain[at],
+            at not in joined,
+            not (clocks[at] or np.isnan(sample[:, at]).all()),
+            not re.fullmatch(_EXACT_TIME, plain[at]),
+            at,
+        )
     )
     for place in times[:1]:
-        unit = "us" if plain[place] == "utime" else _unit(names[place], plain[place])
-        name(place, f"t_{unit}" if unit in ("ns", "us", "ms", "s") else "t")
+        name(place, f"t_{units[place]}" if units[place] in _TIME_UNITS else "t")
         if place in joined:
-            name(joined[place], NANOSEC)
+            name(joined[place], PARTS[units[joined[place]]])
     for place in times[1:]:
         if plain[place] == "receive_time":  # of Foxglove's tables
             name(place, RECEIVED)
-    for place in places(_FRAME) if not times else ():
-        if np.isfinite(sample[:, place]).all() and not constant[place]:
+    for place in header.places(_FRAME) if not times else ():
+        if np.isfinite(sample[:, place]).all() and not _is_constant(sample[:, place]):
             name(place, "t" if len(sample) and sample[0, place] > 1e8 else FRAME)
             break
 

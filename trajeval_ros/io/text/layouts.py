@@ -33,7 +33,7 @@ from trajeval_ros.metrics.statistics import median
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
 # Names for the columns of an unknown pose, by the least number of columns.
-_EXAMPLES = (7, "x y z qx qy qz qw"), (6, "x y z roll pitch yaw"), (3, "x y z"), (0, "x y")
+_EXAMPLES = (7, "x y z qx qy qz qw"), (6, "x y z roll pitch yaw"), (3, "x y z"), (2, "x y")
 CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "axes north, east and down")
 _POSE, _POSE_W, _V = "t x y z qx qy qz qw", "t x y z qw qx qy qz", "vx vy vz"
@@ -63,7 +63,7 @@ _TUM_COMMAS = known("TUM", _POSE, "commas time unit", "4Seasons, evo_traj edits"
 _EUROC_POSES = known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL ground truth, ADVIO")
 # fmt: off
 KNOWN = (
-    known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation"),
+    known("t x y z", "t x y z", "forward", "Leica and laser trackers; evo without rotation"),
     known("TUM", _POSE, "spaces unit", "cvg.cit.tum.de RGB-D file formats"),
     _TUM_COMMAS,
     _EUROC_POSES,
@@ -71,6 +71,8 @@ KNOWN = (
     known("VINS-Mono", f"{_POSE_W} {_V} _", "vins", _VINS, _ORDER),
     known("TUM with velocity", f"{_POSE} {_V}", "time unit", "rpg, ESVO"),
     known("VINS with velocity", f"{_POSE_W} {_V}", "time unit", "VINS-Mono edited"),
+    known("TUM in seconds and nanoseconds", f"t_s nanosec {_ROS_POSE}", "ros2 unit",
+          "users' logs of ROS headers"),
     known("TUM with an id", f"_ {_POSE}", "id time unit", "rpg_trajectory_evaluation",
           "the first of 9 columns is an id"),
     known("TUM with an id", f"{_POSE} _", "id_last time unit", "rtabmap export format 11",
@@ -131,10 +133,13 @@ def _matrices(table: TextTable, layout: Layout, _: Floats) -> Any:
     return (errors < ORTHONORMAL) & (np.linalg.det(axes) > 0.0)
 
 
-def _steps(column: Floats) -> bool:
-    """Return whether most steps have one direction; neighbours may have changed places."""
+def _steps(column: Floats, least: float = 0.2) -> bool:
+    """Return whether most steps have one direction; neighbours may have changed places.
+
+    `least`: surplus of steps in this direction, as a part of all steps.
+    """
     signs = np.sign(np.diff(column[np.isfinite(column)]))
-    return bool(not signs.any() or abs(signs.sum()) >= 0.2 * np.abs(signs).sum())
+    return bool(not signs.any() or abs(signs.sum()) >= least * np.abs(signs).sum())
 
 
 def _are_whole(column: Floats, end: float) -> Any:
@@ -147,10 +152,11 @@ CHECKS: dict[str, Callable[[TextTable, Layout, Floats], Any]] = {
     "spaces": lambda table, layout, times: table.separator in ("", "\t"),
     "commas": lambda table, layout, times: table.separator not in ("", "\t") and not table.at_end,
     "vins": lambda table, layout, times: table.at_end,
+    "forward": lambda table, layout, times: _steps(times, 0.6),  # the only check
     "time": lambda table, layout, times: _steps(times),
     "frames": lambda table, layout, times: _are_whole(times, 1e8).all(),
     "times": lambda table, layout, times: not _are_whole(times, 1e8).all(),
-    "id": lambda table, layout, times: table.values[:, 0] == np.round(table.values[:, 0]),
+    "id": lambda table, layout, times: _are_whole(table.values[:, 0], 1e8),
     "id_last": lambda table, layout, times: (_are_whole(table.values[:, -1], np.inf)
         & (np.diff(table.values[:, -1], prepend=-1.0) > 0.0)).all(),
     "us": lambda table, layout, times: (times > 1e14) & (times < 4e15),
@@ -197,7 +203,9 @@ def example_for(table: TextTable, known: Sequence[str] = ()) -> str:
     ]
     if time is None and places and may_be_time(table.values[:, places[0]], table.columns):
         columns[places.pop(0)] = "t"
-    pose = next(names for count, names in _EXAMPLES if count <= len(places))
+    pose = next((names for count, names in _EXAMPLES if count <= len(places)), "")
+    if not pose:
+        return "t x y z"
     for at, name in zip(places, pose.split(), strict=False):
         columns[at] = name
     return " ".join(columns)

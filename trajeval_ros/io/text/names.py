@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -12,9 +13,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
 IGNORED, TEXT = "_", "text"
-FRAME, FRAME_1, DATE, CLOCK, NANOSEC, RECEIVED = (
-    *("frame", "frame1", "date", "clock", "nanosec", "received"),
-)
+FRAME, FRAME_1, DATE, CLOCK, RECEIVED = ("frame", "frame1", "date", "clock", "received")
 UNPADDED = "t_unpadded"  # seconds, a point, and nanoseconds without leading zeros
 UNITS = {
     "t": None,
@@ -26,6 +25,8 @@ UNITS = {
     DATE: 10**9,
 }
 TIMES = (*UNITS, FRAME, FRAME_1)
+# Columns to be added to times of whole seconds, as in a header of ROS, by their unit.
+PARTS = {"ns": "nanosec", "us": "microsec", "ms": "millisec"}
 _SIX = range(1, 7)
 _TRIPLE = (11, 12, 13, 22, 23, 33)
 _XYZ = ("x", "y", "z")
@@ -54,7 +55,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "level_place": ("latitude", "longitude"),
     "place_sigma": ("sigma_east", "sigma_north", "sigma_up"),
     "fix_status": ("fix_status",),
-    NANOSEC: (NANOSEC,),  # to be added to timestamps of whole seconds, as in a header of ROS
+    **{part: (part,) for part in PARTS.values()},
 }
 _METRIC = ("position", "planar", "matrix")
 _PLACES = {*_METRIC, "place", "level_place"}
@@ -116,6 +117,10 @@ class Layout:
         if self.time is not None and time:
             names[self.time] = time
         return " ".join(names).rstrip(f" {IGNORED}")
+
+    def with_columns(self, columns: Iterable[str]) -> Layout:
+        """Return this layout with other names of the columns."""
+        return dataclasses.replace(self, columns=tuple(columns))
 
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:

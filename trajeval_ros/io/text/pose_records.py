@@ -212,8 +212,9 @@ def _objects(path: Path) -> Iterator[Any]:
     """Yield the objects of JSON lines, or of the first list in a document."""
     with open_lines(path) as lines:
         first = lines.readline()
-        if first.strip().endswith("}") and isinstance(_parsed(first), dict):
-            for at, line in enumerate(itertools.chain([first], lines), 1):
+        second = next(filter(str.strip, lines), "")  # a document can be one line
+        if second and first.strip().endswith("}") and isinstance(_parsed(first), dict):
+            for at, line in enumerate(itertools.chain([first, second], lines), 1):
                 value = _parsed(line) if line.strip() else {}
                 if isinstance(value, Exception):
                     raise InputError(f"{path}, line {at}: no JSON object; write one per line")
@@ -228,7 +229,11 @@ def _objects(path: Path) -> Iterator[Any]:
         why = "its objects are nested too deeply" if is_deep else document
         raise InputError(f"{path} is not valid JSON: {why}")
     if isinstance(document, dict):
-        lists = (value for value in document.values() if isinstance(value, list))
+        lists = (
+            value
+            for value in document.values()
+            if isinstance(value, list) and isinstance(next(iter(value), None), dict)
+        )
         document = next(lists, [document])
     yield from document
 

@@ -26,7 +26,7 @@ from trajeval_ros.io.text.names import (
     FRAME,
     FRAME_1,
     IGNORED,
-    NANOSEC,
+    PARTS,
     RECEIVED,
     Layout,
     layout_of,
@@ -38,7 +38,7 @@ from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import is_clock
 from trajeval_ros.io.text.states import states_of
 from trajeval_ros.io.text.table import Rows, TextTable, read_rows
-from trajeval_ros.io.text.times import nanosecond_parts, receive_times_of, times_of, with_times
+from trajeval_ros.io.text.times import parts_of_seconds, receive_times_of, times_of, with_times
 
 
 def read_text(
@@ -175,8 +175,9 @@ def trajectory_of(
     if times.kept is not None:
         rows = rows.where(times.kept)
     groups, has_times = rows.groups, times.stamped and len(stamps) > 0
-    if NANOSEC in groups and has_times:
-        stamps = stamps + nanosecond_parts(path, groups[NANOSEC][:, 0])
+    for unit, part in PARTS.items():
+        if part in groups and has_times:
+            stamps = stamps + parts_of_seconds(path, groups[part][:, 0], unit)
     if has_times:
         check_stamps(stamps, str(path))
     code = NAMED_COLUMNS if layout.name == AS_NAMED else FORMAT

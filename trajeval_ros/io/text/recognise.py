@@ -6,7 +6,7 @@ import dataclasses
 import re
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.text.header_names import from_header, plain_of, split_header
+from trajeval_ros.io.text.header_names import are_names, from_header, split_header
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, example_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
 from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment
@@ -90,6 +90,13 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
         if len(names) == width:
             break
     else:
+        counts = {len(names): names for names in (split_header(line, mark) for mark in SEPARATORS)}
+        for count, names in counts.items():
+            if are_names(names):
+                raise InputError(
+                    f"its header names {count} columns, {line.strip()[:80]!r}, and its rows have "
+                    f"{table.columns}; name the columns, as in {{option}} '{example_for(table)}'"
+                )
         return None
     if has_clock:
         names.insert(1, CLOCK)
@@ -106,15 +113,6 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
     layout = from_header(names, table)
     if layout is None:
         return None
-    plain = [plain_of(name) for name in names]
-    for name, word, column in zip(names, plain, layout.columns, strict=True):
-        if word and plain.count(word) > 1 and column != IGNORED:
-            raise InputError(
-                f"its header names {name!r} twice, as for several bodies; name the columns "
-                f"of one: {{option}} '{' '.join(layout.columns)}'"
-            )
-    if has_clock and layout.time == 0:
-        layout = dataclasses.replace(layout, columns=(DATE, CLOCK, *layout.columns[2:]))
     if line.lstrip("# ").startswith("fields "):
         layout = dataclasses.replace(layout, name="trajectopy")
     return layout
@@ -125,10 +123,15 @@ def with_dates(table: TextTable, layout: Layout) -> Layout:
     at = layout.time
     if at is None:
         return layout
-    before, after = layout.columns[:at], layout.columns[at + 1 :]
-    word = table.sample[0][at] if table.sample else ""
+    row = table.sample[0]
+    for first in (at - 1, at):
+        pair = row[max(first, 0) : first + 2]
+        if len(pair) == 2 and is_date(pair[0]) and is_time_of_day(pair[1]):
+            before, after = layout.columns[:first], layout.columns[first + 2 :]
+            return layout.with_columns((*before, DATE, CLOCK, *after))
+    before, after, word = layout.columns[:at], layout.columns[at + 1 :], row[at]
     if layout.time_name in ("t", DATE) and moment(word) is not None:
-        return dataclasses.replace(layout, columns=(*before, DATE, *after))
+        return layout.with_columns((*before, DATE, *after))
     if table.texts[at]:
         raise InputError(
             f"line {table.first + 1}: column {at + 1} has {word[:40]!r}, which is not a time; "

@@ -32,7 +32,7 @@ _RECORD_LINES = 200  # lines of rewritten records in the place of a head
 _MOST_COLUMNS = 4096
 _LONGEST_COUNT = 2  # numbers in a line above the rows that can be a count or a size
 _OF_ANY_KIND = (IGNORED, DATE, CLOCK, RECEIVED, *TIMES)  # names of columns that can be text
-_WITH_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
+_WITH_COMMA = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d+|[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
 def sniff(
@@ -85,7 +85,7 @@ def sniff(
         numeric = [at for at in range(columns) if 2 * text[at] <= filled[at]]
 
     def is_row(row: list[str]) -> bool:
-        is_filled = len(row) == columns and any(row)
+        is_filled = len(row) == columns and any(word and number(word) is not None for word in row)
         return is_filled and all(number(row[at]) is not None for at in numeric)
 
     first = next((at for at in bodies if is_row(row_at(at))), None)
@@ -123,7 +123,12 @@ def _has_decimal_commas(path: Path, late: Sequence[tuple[int, str]]) -> bool:
     if any("," in word for word in words) and all(
         _WITH_COMMA.fullmatch(word) or number(word) is not None for word in words
     ):
-        return all((";" in line or "\t" in line) and "." not in line for line in last)
+        if not any("." in line for line in last):
+            return all(";" in line or "\t" in line for line in last)
+        raise InputError(
+            f"{path}, line {late[-1][0] + 1}: numbers have decimal commas and points; write "
+            "decimal points, without separators of thousands"
+        )
     if len(" ".join(last[-1:]).split()) > 2 and all(
         map(_WITH_COMMA.fullmatch, " ".join(last).split())
     ):
@@ -153,7 +158,7 @@ def _separator(late: Sequence[str], least: int) -> tuple[str, int, bool]:
         width = least if widths[least] else widths.most_common(1)[0][0]
         words = [word for row in rows if len(row) == width for word in row]
         count = sum(word != "" and number(word) is not None for word in words)
-        if candidate == MIXED and count < len(words):
+        if candidate == MIXED and (count < len(words) or count <= best[0]):
             continue
         # Most numbers, then fewest other fields, then the shortest separator.
         rank = (count, count - len(words), -len(candidate))

@@ -14,7 +14,7 @@ from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.array_input import quaternions_of
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.text.names import BODY_TWISTS, EXAMPLE, FAST_LIO, GROUPS, ROTATIONS, Layout
+from trajeval_ros.io.text.names import BODY_TWISTS, FAST_LIO, GROUPS, ROTATIONS, Layout
 
 _LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, with a margin for rounded digits
 ORTHONORMAL = 1e-2  # largest error of a rotation matrix times its transpose
@@ -41,7 +41,7 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
     if layout.unit not in _METRES:
         raise InputError(
             f"{path}: its positions are in {layout.unit}, not all in m, mm, cm or km; convert "
-            f"them, and name the columns with {EXAMPLE}"
+            "them to one unit, and write it in the header"
         )
     remarks, matrices = [], None
     if "matrix" in groups:
@@ -109,10 +109,11 @@ def _rotations(
         beyond = np.abs(values) > _LARGEST_ANGLE
         if beyond.any():
             row, column = np.argwhere(beyond)[0]
-            name = GROUPS[group][column]
+            in_degrees = {name: f"{name}_deg" for name in GROUPS[group]}
+            named = layout.with_columns(in_degrees.get(name, name) for name in layout.columns)
             raise InputError(
-                f"{path}, row {row + 1}: {name} is {values[row, column]:g}, which is not in "
-                f"radians; if it is in degrees, name the column {name}_deg"
+                f"{path}, row {row + 1}: {GROUPS[group][column]} is {values[row, column]:g}, "
+                f"which is not in radians; if it is in degrees: {{option}} '{named.named()}'"
             )
     # Larger sums of angles have too few digits for the angle itself: the row is dropped.
     angles = np.zeros((count, 3))

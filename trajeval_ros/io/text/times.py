@@ -31,7 +31,15 @@ from trajeval_ros.io.text.names import (
 )
 from trajeval_ros.io.text.numpy_files import files_of_times, load
 from trajeval_ros.io.text.sniff import sniff
-from trajeval_ros.io.text.stamps import WIDTH, dates, exact, to_stamps, unit_of, unpadded
+from trajeval_ros.io.text.stamps import (
+    WIDTH,
+    are_parts,
+    dates,
+    exact,
+    to_stamps,
+    unit_of,
+    unpadded,
+)
 from trajeval_ros.io.text.table import Rows, number, read_rows
 from trajeval_ros.metrics.statistics import median
 
@@ -288,16 +296,16 @@ def with_times(
     return layout, dataclasses.replace(rows, texts={**rows.texts, layout.time_name: times})
 
 
-def nanosecond_parts(path: Path, column: Floats) -> Stamps:
-    """Return the nanoseconds (N,) of timestamps in two columns; float64 has them exactly."""
-    right = (column >= 0.0) & (column < NANOSECONDS) & (column == np.round(column))
+def parts_of_seconds(path: Path, column: Floats, unit: str) -> Stamps:
+    """Return the parts of whole seconds (N,) in nanoseconds, exact; `unit`: one of `PARTS`."""
+    right = are_parts(column, unit)
     if not right.all():
-        row = int(np.argmin(right))
+        row, name = int(np.argmin(right)), f"t_{unit}"
         raise InputError(
-            f"{path}: row {row + 1} has {column[row]:g} nanoseconds after its seconds, expected "
-            "0 to 999999999; correct or remove the row"
+            f"{path}: row {row + 1} has {column[row]:g} {_WORDS[name]} after its seconds, "
+            f"expected 0 to {NANOSECONDS // (UNITS[name] or 1) - 1}; correct or remove the row"
         )
-    return column.astype(np.int64)
+    return column.astype(np.int64) * (UNITS[f"t_{unit}"] or 1)
 
 
 def receive_times_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes:
