@@ -147,6 +147,15 @@ def test_the_option_for_a_time_has_its_unit(tmp_path: Path) -> None:
         read_trajectory(path)
 
 
+@pytest.mark.parametrize("comment", ["# in millimetres", "# position, wxyz", "# angles in deg"])
+@pytest.mark.parametrize("names", ["", "t,x,y,z,qx,qy,qz,qw\n"])
+def test_a_comment_about_a_unit_is_told(comment: str, names: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"{comment}\n{names}1.5,1,2,3,0,0,0,1\n2.5,1,3,3,0,0,0,1\n")
+    remarks = [remark.text for remark in read_trajectory(path).reading.remarks]
+    assert any(f"a comment is not read: {comment!r}" in text for text in remarks)
+
+
 @pytest.mark.parametrize("unit", ["mm", " [millimetre]", " in mm", "_millimeters"])
 def test_units_of_positions(unit: str, tmp_path: Path) -> None:
     names = ",".join(f"{axis} {unit}" for axis in "xyz")

@@ -181,6 +181,11 @@ KINDS: dict[str, tuple[str, bool, bool]] = {
         False,
         True,
     ),
+    "a zone of whole hours": (
+        rows(np.char.add(MOMENTS, "+00"), PLACES, separator=",", header="time,x,y,z"),
+        False,
+        True,
+    ),
     "seconds and nanoseconds without a header": (rows(HALF, PLACES, XYZW), True, True),
     "a time of something": (
         rows(TIMES, SECONDS, PLACES, separator=",", header="compute_time,timestamp,x,y,z"),

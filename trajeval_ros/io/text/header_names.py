@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import itertools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -179,7 +178,7 @@ def plain_of(name: str) -> str:
     name = re.sub(r"\[(\d)\]", r"_\1", name)
     name = re.sub(
         r"(?<=[a-z])(?=(?:[A-Z][a-z]|Ns|Us|Ms)[a-z]*)|(?<=[A-Z])(?=Time\b)"
-        r"|(?:(?<=time)|(?<=stamp))(?=[mun]s)",
+        r"|(?:(?<=time)|(?<=stamp))(?=[mun]s)|(?<=\b[xyzXYZ])(?=[mck]m\b)",
         "_",
         name,
     )
@@ -375,13 +374,11 @@ def _columns(header: _Header) -> tuple[list[str], dict[int, str]]:
             ):
                 continue
             name(place, quantity)
-            if columns[place] == IGNORED and quantity in _POSE:
+            if columns[place] == IGNORED and quantity in _POSE and quantity not in rivals.values():
                 chosen = columns.index(quantity)
                 is_same = plain[chosen] == plain[place] and units[chosen] != units[place]
-                is_same |= is_global[chosen] != is_global[place]
-                if quantity not in rivals.values() and not (
-                    is_same or plain[place].endswith(f"_{plain[chosen]}")
-                ):
+                is_longer = plain[place].endswith(f"_{plain[chosen]}")
+                if not (is_same or is_longer or is_global[chosen] != is_global[place]):
                     rivals[place] = quantity
     if places(_FIXES["latitude"]) and places(_FIXES["longitude"]):
         for word, pattern in _FIXES.items():
@@ -400,31 +397,32 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
     """Name the column of timestamps, preferably of the header; without one, frame numbers."""
     plain, units, sample = header.plain, header.units, header.table.values
     clocks = list(map(goes_forward, sample.T))
-    times = [
-        at
-        for at, word in enumerate(plain)
-        if re.fullmatch(_TIME, word)
-        or (clocks[at] and word in _UNITS and units[at] in _TIME_UNITS)
+    times = header.places(_TIME)
+    times += [
+        at for at, word in enumerate(plain) if clocks[at] and _UNITS.get(word) in _TIME_UNITS
     ]
     stems = ["" if word in _UNITS else word for word in plain]
-    joined = {  # columns of the parts of whole seconds, by that of the seconds
-        at: part
-        for at, part in itertools.permutations(range(len(plain)), 2)
-        if units[at] == "s"
-        and units[part] in PARTS
-        and stems[at] == stems[part]
-        and 2 * np.sum(are_parts(sample[:, part], units[part])) >= len(sample)
-        and 2 * np.sum(sample[:, at] == np.round(sample[:, at])) >= len(sample)
+    seconds = {
+        stems[at]: at
+        for at, column in enumerate(sample.T)
+        if units[at] == "s" and 2 * np.sum(column == np.round(column)) >= len(column)
     }
-    times = [place for place in {*times, *joined} if place not in joined.values()]
-    times.sort(
+    joined = {  # columns of the parts of whole seconds, by that of the seconds
+        seconds[stems[at]]: at
+        for at, column in enumerate(sample.T)
+        if units[at] in PARTS
+        and stems[at] in seconds
+        and 2 * np.sum(are_parts(column, units[at])) >= len(column)
+    }
+    times = sorted(
+        {*times, *joined} - {*joined.values()},
         key=lambda at: (
             "header_stamp" not in plain[at],
             at not in joined,
-            not (clocks[at] or np.isnan(sample[:, at]).all()),
+            not (clocks[at] or header.table.texts[at]),
             not re.fullmatch(_EXACT_TIME, plain[at]),
             at,
-        )
+        ),
     )
     for place in times[:1]:
         name(place, f"t_{units[place]}" if units[place] in _TIME_UNITS else "t")

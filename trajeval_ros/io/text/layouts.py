@@ -32,6 +32,7 @@ from trajeval_ros.io.text.table import TextTable, number
 from trajeval_ros.metrics.statistics import median
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
+_SURPLUS = 0.6  # of steps in one direction, of all: 0.33 in columns of matrices with three lines
 # Names for the columns of an unknown pose, by the least number of columns.
 _EXAMPLES = (7, "x y z qx qy qz qw"), (6, "x y z roll pitch yaw"), (3, "x y z"), (2, "x y")
 CAMERA = UpAxis("-y", "KITTI's camera axes")
@@ -63,7 +64,7 @@ _TUM_COMMAS = known("TUM", _POSE, "commas time unit", "4Seasons, evo_traj edits"
 _EUROC_POSES = known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL ground truth, ADVIO")
 # fmt: off
 KNOWN = (
-    known("t x y z", "t x y z", "forward", "Leica and laser trackers; evo without rotation"),
+    known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation"),
     known("TUM", _POSE, "spaces unit", "cvg.cit.tum.de RGB-D file formats"),
     _TUM_COMMAS,
     _EUROC_POSES,
@@ -133,13 +134,10 @@ def _matrices(table: TextTable, layout: Layout, _: Floats) -> Any:
     return (errors < ORTHONORMAL) & (np.linalg.det(axes) > 0.0)
 
 
-def _steps(column: Floats, least: float = 0.2) -> bool:
-    """Return whether most steps have one direction; neighbours may have changed places.
-
-    `least`: surplus of steps in this direction, as a part of all steps.
-    """
+def _steps(column: Floats) -> bool:
+    """Return whether most steps have one direction; neighbours may have changed places."""
     signs = np.sign(np.diff(column[np.isfinite(column)]))
-    return bool(not signs.any() or abs(signs.sum()) >= least * np.abs(signs).sum())
+    return bool(not signs.any() or abs(signs.sum()) >= _SURPLUS * np.abs(signs).sum())
 
 
 def _are_whole(column: Floats, end: float) -> Any:
@@ -152,7 +150,6 @@ CHECKS: dict[str, Callable[[TextTable, Layout, Floats], Any]] = {
     "spaces": lambda table, layout, times: table.separator in ("", "\t"),
     "commas": lambda table, layout, times: table.separator not in ("", "\t") and not table.at_end,
     "vins": lambda table, layout, times: table.at_end,
-    "forward": lambda table, layout, times: _steps(times, 0.6),  # the only check
     "time": lambda table, layout, times: _steps(times),
     "frames": lambda table, layout, times: _are_whole(times, 1e8).all(),
     "times": lambda table, layout, times: not _are_whole(times, 1e8).all(),

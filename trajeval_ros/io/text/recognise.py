@@ -13,6 +13,7 @@ from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment
 from trajeval_ros.io.text.table import MIXED, SEPARATORS, TextTable, body_of
 
 _LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
+_STATEMENT = r"(?i)\b(wxyz|[mc]m|(milli|centi)met\w+|deg|degrees?|feet|inch(es)?)\b"
 _VICON_UNIT = r"|m/?s?|mm|cm|km|deg|rad|s|ms|us|ns"
 # Columns of Qualisys, whose header has no units.
 _QUALISYS = {
@@ -52,7 +53,7 @@ def _certain(table: TextTable) -> Layout:
         if at == 0 or line.lstrip().startswith(("#", "%")) or not uncommented:
             layout = _titled(table, line, lines[at + 1 :], has_clock)
             if layout is not None:
-                return layout
+                return _with_comments(layout, [*lines[:at], *lines[at + 1 :]])
     example = f"{{option}} '{example_for(table)}'"
     if uncommented:
         counts = [len(split_header(uncommented[0], separator)) for separator in SEPARATORS]
@@ -68,7 +69,16 @@ def _certain(table: TextTable) -> Layout:
             f"dates without a header, first row {table.first_line!r}; name the columns: {example}"
         )
     layout = by_rows(table)
-    return _smfeval(layout, table.header) if layout.name == "smfeval" else layout
+    if layout.name == "smfeval":
+        return _smfeval(layout, table.header)
+    return _with_comments(layout, lines)
+
+
+def _with_comments(layout: Layout, lines: list[str]) -> Layout:
+    """Note a comment, of `lines` above the rows, about a unit or an order that is not read."""
+    line = next((line for line in lines if re.search(_STATEMENT, line)), "")
+    text = f"a comment is not read: {line.strip()[:80]!r}"
+    return dataclasses.replace(layout, note="; ".join(filter(None, [layout.note, line and text])))
 
 
 def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> Layout | None:
