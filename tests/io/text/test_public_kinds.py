@@ -203,6 +203,11 @@ KINDS: dict[str, tuple[str, bool, bool]] = {
         False,
         True,
     ),
+    "words after the names": (
+        rows(SECONDS, PLACES, WXYZ, header="# timestamp_s tx ty tz qw qx qy qz. in the frame"),
+        True,
+        True,
+    ),
     "a word before the names": (
         rows(SECONDS, PLACES, WXYZ, header="# format: timestamp x y z qw qx qy qz"),
         True,
@@ -278,7 +283,7 @@ REFUSED: dict[str, tuple[str, int]] = {  # text, and which of the suggested opti
         0,
     ),
     "more names than columns": (
-        rows(SECONDS, PLACES, XYZW, header="# timestamp x y z qx qy qz qw extra"), 0,
+        rows(SECONDS, PLACES, XYZW, header="# timestamp id x y z qx qy qz qw"), 0,
     ),
     "millimetres without a name of the rotation": (
         rows(SECONDS, 1e3 * PLACES, WXYZ, separator=",",

@@ -185,13 +185,13 @@ def plain_of(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", re.sub(_UNIT, "", name).lower()).strip("_")[:_LONGEST_NAME]
 
 
-def are_names(names: Sequence[str]) -> bool:
-    """Return whether most words name a part of a pose, so that they are no prose."""
+def count_of_pose(names: Sequence[str]) -> int:
+    """Return how many names are of a time, a position or a quaternion."""
     plain = [name_and_unit(name)[0] for name in names[:_MOST_NAMES]]
-    parts = sum(
-        bool(re.fullmatch(_POSITION, word) or re.fullmatch(_QUATERNION, word)) for word in plain
+    return sum(
+        any(re.fullmatch(pattern, word) for pattern in (_TIME, _POSITION, _QUATERNION))
+        for word in plain
     )
-    return parts >= 3 and 2 * parts > len(names)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import dataclasses
 import re
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.text.header_names import are_names, from_header, split_header
+from trajeval_ros.io.text.header_names import count_of_pose, from_header, split_header
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, example_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
 from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment
@@ -14,6 +14,7 @@ from trajeval_ros.io.text.table import MIXED, SEPARATORS, TextTable, body_of
 
 _LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
 _STATEMENT = r"(?i)\b(wxyz|[mc]m|(milli|centi)met\w+|deg|degrees?|feet|inch(es)?)\b"
+_FEWEST = 4  # names of a pose that make a header of a line of other words
 _VICON_UNIT = r"|m/?s?|mm|cm|km|deg|rad|s|ms|us|ns"
 # Columns of Qualisys, whose header has no units.
 _QUALISYS = {
@@ -97,16 +98,17 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
         names = split_header(line, separator)
         if len(names) == width + 1 and not names[-1]:
             names.pop()
+        count = count_of_pose(names)
+        if len(names) > width == count_of_pose(names[:width]) == count:
+            del names[width:]  # words after the names
         if len(names) == width:
             break
+        if count >= _FEWEST and 2 * count > len(names) and all(names):
+            raise InputError(
+                f"its header names {len(names)} columns, {line.strip()[:80]!r}, and its rows have "
+                f"{table.columns}; name the columns, as in {{option}} '{example_for(table)}'"
+            )
     else:
-        counts = {len(names): names for names in (split_header(line, mark) for mark in SEPARATORS)}
-        for count, names in counts.items():
-            if are_names(names):
-                raise InputError(
-                    f"its header names {count} columns, {line.strip()[:80]!r}, and its rows have "
-                    f"{table.columns}; name the columns, as in {{option}} '{example_for(table)}'"
-                )
         return None
     if has_clock:
         names.insert(1, CLOCK)
