@@ -581,3 +581,13 @@ def test_covariances_named_by_axes(tmp_path: Path) -> None:
     assert covariances is not None
     for (first, second), value in zip(pairs, values.tolist(), strict=True):
         assert covariances[0, first, second] == covariances[0, second, first] == value
+
+
+def test_time_differences_are_no_times(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    differences = RNG.normal(0.05, 1e-3, COUNT).round(6)
+    path.write_text(rows(differences, PLACES, separator=",", header="delta_time,x,y,z"))
+    read = read_trajectory(path)
+    np.testing.assert_array_equal(read.positions, PLACES)
+    assert not read.reading.stamped
+    assert any("ignored columns: delta_time" in remark.text for remark in read.reading.remarks)

@@ -24,7 +24,7 @@ from trajeval_ros.io.text.names import (
     TIMES,
     Layout,
 )
-from trajeval_ros.io.text.stamps import are_parts, goes_forward, is_clock
+from trajeval_ros.io.text.stamps import are_parts, goes_back, goes_forward, is_clock
 from trajeval_ros.io.text.table import TextTable
 
 # Patterns are compiled on use, since most files have no header.
@@ -397,7 +397,14 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
     """Name the column of timestamps, preferably of the header; without one, frame numbers."""
     plain, units, sample = header.plain, header.units, header.table.values
     clocks = list(map(goes_forward, sample.T))
-    times = header.places(_TIME)
+    times = [
+        at
+        for at in header.places(_TIME)
+        if header.table.texts[at]
+        or "header_stamp" in plain[at]
+        or re.fullmatch(_EXACT_TIME, plain[at])
+        or not goes_back(sample[:, at])  # as time differences do
+    ]
     times += [
         at for at, word in enumerate(plain) if clocks[at] and _UNITS.get(word) in _TIME_UNITS
     ]

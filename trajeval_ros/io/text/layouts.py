@@ -64,7 +64,8 @@ _TUM_COMMAS = known("TUM", _POSE, "commas time unit", "4Seasons, evo_traj edits"
 _EUROC_POSES = known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL ground truth, ADVIO")
 # fmt: off
 KNOWN = (
-    known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation"),
+    known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation",
+          "no header: 4 columns read as t x y z"),
     known("TUM", _POSE, "spaces unit", "cvg.cit.tum.de RGB-D file formats"),
     _TUM_COMMAS,
     _EUROC_POSES,
