@@ -82,6 +82,18 @@ def test_a_run_that_goes_on_is_evaluated_so_far(tmp_path: Path) -> None:
     assert live.result["runs"][0]["association"]["pairs"] >= counts[-1]
 
 
+@pytest.mark.parametrize("verb", [["info"], []])
+def test_its_folder_is_for_finish(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    live.feed(messages(7))
+    live.end()
+    assert main([*verb, str(live.folder)]) == 2
+    advice = capsys.readouterr().err.rpartition("evaluate it: trajeval ")[2]
+    assert main([*advice.split(), "--quiet"]) == 0
+
+
 def test_after_a_crash_the_pairs_count_and_the_missing_counts_are_told(tmp_path: Path) -> None:
     feed = messages(6)
     live = Live(tmp_path / "live", ODOM)

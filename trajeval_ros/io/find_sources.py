@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,9 @@ def find_sources(
 
     `folder`: existing folder. Hidden subfolders and links to folders are not entered. `advance`:
     progress callback, called with the number of files done and their total.
+
+    Raises:
+        InputError: It is the folder of a live run, which has another verb.
     """
     left_out: list[str] = []
     candidates: list[Path] = []
@@ -64,7 +68,19 @@ def find_sources(
             others += 1
         else:
             sources.append(source)
+    if not sources:
+        _refuse_live_run(folder)
     return FolderContents(tuple(sources), others, tuple(left_out))
+
+
+def _refuse_live_run(folder: Path) -> None:
+    from trajeval_ros.io.live.state_file import GROUNDTRUTH
+
+    if (folder / GROUNDTRUTH).is_file():
+        raise InputError(
+            f"{folder} is the folder of a live run; evaluate it: "
+            f"trajeval finish {shlex.quote(str(folder))}"
+        )
 
 
 def _walk(folder: Path, left_out: list[str]) -> Iterator[Path]:
