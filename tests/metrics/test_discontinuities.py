@@ -132,6 +132,19 @@ def test_a_clock_step_is_measured_by_receive_times(side: str, step_s: float) -> 
     assert np.abs(corrected.stamps - expected).max() < 0.01 * NANOSECONDS
 
 
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("step_s", [0.917, 3.017])
+def test_a_forward_clock_step_is_measured_by_the_motion(side: str, step_s: float) -> None:
+    pair = list(sides(862))
+    place = SIDES.index(side)
+    stamps = pair[place].stamps.copy()
+    stamps[inside(pair[place], AT_S, np.inf)] += round(step_s * NANOSECONDS)
+    pair[place] = dataclasses.replace(pair[place], stamps=stamps)
+    event = only(discontinuities(pair[0], pair[1]))
+    assert (event.kind, event.side, event.certainty) == ("clock_step", side, "likely")
+    assert event.s == pytest.approx(step_s, abs=0.02)
+
+
 @pytest.mark.parametrize("batch_s", [0.07, 1.0])
 def test_events_do_not_depend_on_the_batches(batch_s: float) -> None:
     groundtruth, estimate = sides(871)
