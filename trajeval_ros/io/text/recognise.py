@@ -6,6 +6,7 @@ import dataclasses
 import re
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.text.header_names import count_of_pose, from_header, split_header
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, example_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
@@ -105,8 +106,9 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
             break
         if count >= _FEWEST and 2 * count > len(names) and all(names):
             raise InputError(
-                f"its header names {len(names)} columns, {line.strip()[:80]!r}, and its rows have "
-                f"{table.columns}; name the columns, as in {{option}} '{example_for(table)}'"
+                f"its header names {counted(len(names), 'column')}, {line.strip()[:80]!r}, and "
+                f"its rows have {table.columns}; name the columns, as in "
+                f"{{option}} '{example_for(table)}'"
             )
     else:
         return None
