@@ -32,7 +32,7 @@ def test_named_columns(names: tuple[str, str, str], separator: str, tmp_path: Pa
     header = separator.join(["time", *names, "sigma_e", "sigma_n", "sigma_u"])
     file.write_text("\n".join([header, *rows]))
     result = read_trajectory(file)
-    assert result.kind == "gnss"
+    assert (result.kind, result.reading.format) == ("gnss", "latitude, longitude, height")
     assert result.reading.fixes is not None
     np.testing.assert_array_equal(result.reading.fixes.places, PLACES)
     np.testing.assert_array_equal(result.stamps, 1_700_000_000 * 10**9 + np.arange(30) * 10**6)
@@ -49,6 +49,7 @@ def test_columns_without_height_and_with_status(tmp_path: Path) -> None:
     file.write_text("# t latitude longitude status\n" + "\n".join(rows))
     result = read_trajectory(file)
     assert result.reading.fixes is not None
+    assert result.reading.format == "latitude, longitude"
     assert not result.reading.fixes.have_heights
     assert result.reading.dropped == {"no_fix": 10}
 

@@ -198,3 +198,15 @@ def test_degrees_in_another_encoding(tmp_path: Path) -> None:
     np.testing.assert_allclose(angles, [[3, 2, 1]] * 2)
     for other in others:
         np.testing.assert_array_equal(other, first)
+
+
+def test_a_position_in_two_units_is_read_once(tmp_path: Path) -> None:
+    names = ",".join(f"{axis} [{unit}]" for unit in ("mm", "m") for axis in "xyz")
+    path = written(tmp_path / "a.csv", f"time [s],{names}", range(4), *(1000.0 * POSITIONS).T)
+    np.testing.assert_array_equal(read_trajectory(path).positions, POSITIONS)
+
+
+def test_a_word_in_place_of_a_time_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", "time,x,y,z", ["early", "late", "later", "last"])
+    with pytest.raises(InputError, match=r"line 2: column 1 has 'early', .* --columns '_ x y z'"):
+        read_trajectory(path)
