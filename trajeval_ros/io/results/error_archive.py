@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.io.npz_file import write_arrays
-from trajeval_ros.io.results.pair_columns import pair_columns
+from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
 from trajeval_ros.metrics.columns import (
     ArrayColumns,
     columns_of,
@@ -16,7 +16,10 @@ from trajeval_ros.metrics.columns import (
     have_pyarrow,
     write_parquet,
 )
-from trajeval_ros.pipeline.outcome import Outcome
+from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
+
+if TYPE_CHECKING:  # the module imports scipy.stats, a slow import
+    from trajeval_ros.consistency.consistency_result import Consistency
 
 SCHEMA = "trajeval-errors/1"
 TABLE_SCHEMA = "trajeval-error-table/1"
@@ -28,7 +31,7 @@ def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
 
     Without pyarrow, errors.parquet is not among them.
     """
-    columns = [pair_columns(run) for run in outcome.runs]
+    columns = [_pair_columns(run) for run in outcome.runs]
     files = {ARCHIVE: write_errors}
     if have_pyarrow():
         files[TABLE] = write_error_table
@@ -40,9 +43,9 @@ def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
 def write_errors(path: Path, outcome: Outcome, columns: Sequence[ArrayColumns]) -> None:
     """Write the errors of all pairs and sub-trajectories of all runs as an npz archive.
 
-    `columns` are the `pair_columns` of the runs.
+    `columns` are the `_pair_columns` of the runs.
 
-    Keys of pairs are `NAME.stamps` (int64, nanoseconds), `NAME.position_m`, ... (`pair_columns`).
+    Keys of pairs are `NAME.stamps` (int64, nanoseconds), `NAME.position_m`, ... (`_pair_columns`).
     Keys of sub-trajectories contain their length: `NAME.8m.starts` and `NAME.8m.ends` (indices of
     pairs), `NAME.8m.position_m`, ... As-available errors: `NAME.available.stamps`, `row` (of the
     message in use), `age_ns`, `error_m` (N, 3), `parts_m` (4, N, 3). `NAME.probabilistic.edges`
@@ -77,7 +80,7 @@ def write_errors(path: Path, outcome: Outcome, columns: Sequence[ArrayColumns]) 
 def write_error_table(path: Path, outcome: Outcome, columns: Sequence[ArrayColumns]) -> None:
     """Write a Parquet table with one row per pair, of all runs.
 
-    `columns` are the `pair_columns` of the runs. Those of the table are `estimate`, the name of
+    `columns` are the `_pair_columns` of the runs. Those of the table are `estimate`, the name of
     the run, and their components (`component_columns`). A column that a run does not have is
     null. `trajeval.schema` in the metadata is the version of this layout.
 
@@ -89,3 +92,35 @@ def write_error_table(path: Path, outcome: Outcome, columns: Sequence[ArrayColum
         for run, of_pairs in zip(outcome.runs, columns, strict=True)
     ]
     write_parquet(path, "estimate", tables, {"trajeval.schema": TABLE_SCHEMA})
+
+
+def _pair_columns(run: RunOutcome) -> ArrayColumns:
+    """Return the columns of a run with N pairs, by name.
+
+    Returns:
+        The columns of `Evaluation.to_columns`. With a consistency test also `consistency.errors`,
+        `.sigmas` (N, 6), `.nees`, `.position_nees`, `.rotation_nees` (N,). With a continuous
+        groundtruth also `probabilistic.` columns (`probabilistic_columns`).
+    """
+    groups: dict[str, Any] = {}
+    if run.consistency is not None:
+        groups["consistency"] = _consistency_columns(run.consistency)
+    if run.likelihood is not None:
+        groups["probabilistic"] = probabilistic_columns(run.likelihood)
+    return run.evaluation.to_columns() | {
+        f"{kind}.{name}": column
+        for kind, group in groups.items()
+        for name, column in group.items()
+    }
+
+
+def _consistency_columns(consistency: Consistency) -> dict[str, Any]:
+    columns: dict[str, Any] = {"errors": consistency.errors}
+    if consistency.pose_nees is not None:
+        columns |= {
+            "sigmas": consistency.sigmas,
+            "nees": consistency.pose_nees.pose,
+            "position_nees": consistency.pose_nees.position,
+            "rotation_nees": consistency.pose_nees.rotation,
+        }
+    return columns
