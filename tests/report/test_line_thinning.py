@@ -45,6 +45,12 @@ def test_only_lines_of_more_rows_than_allowed_are_thinned() -> None:
     }
 
 
+def test_a_thinned_line_has_nearly_as_many_rows_as_allowed() -> None:
+    line = np.random.default_rng(3).normal(size=(10_000, 2))
+    rows = thinned(line, 10**8 * np.arange(len(line)), 0.5, most=1000)
+    assert 900 < len(rows) <= 1002
+
+
 @pytest.mark.slow
 def test_a_simplified_path_has_few_rows() -> None:
     rotations = np.linspace(0.0, 2.0 * np.pi, 100_000)

@@ -331,6 +331,8 @@ def test_the_option_that_a_refusal_suggests_works(
     assert all(option.startswith("groundtruth: ") == bool(side.side) for option in options)
     hints = SideHints.of(options[right], None)
     result = read_trajectory(path, hints=hints.groundtruth if side.side else hints.estimate)
+    if kind == "Qualisys":
+        assert "with the columns ['Frame', 'Time', 'X', 'Y', 'Z'," in str(refusal.value)
     if kind == "unpadded nanoseconds":
         assert result.stamps.tolist() == (STAMPS - 200_000_000).tolist()
     assert_right(result, times=kind not in OTHER_TIMES)
