@@ -86,8 +86,7 @@ test-all: test test-slow ## Run all tests: fast ones, slow ones, and those that 
 BESIDE ?= oracles
 
 beside-ros: $(ROS)/.installed $(ROS)/.tf2_msgs
-	@PYTEST_XDIST_AUTO_NUM_WORKERS=1 $(MAKE) --no-print-directory --jobs 2 --output-sync=target \
-		NICE="nice -n 19" test-ros $(BESIDE)
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target NICE="nice -n 19" test-ros $(BESIDE)
 
 # As on an old CPU: a failure of `make test-jazzy` alone is of the versions or of its arithmetic.
 test-jazzy: $(JAZZY)/.installed ## Run the tests of `make test` on ROS 2 Jazzy's versions, with Nehalem's arithmetic.
