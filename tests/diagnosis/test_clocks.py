@@ -113,8 +113,7 @@ def test_parts_of_one_clock_agree_and_those_of_two_rates_do_not() -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "ppm"),
-    [(slice(900), 0), (slice(1000, 1500), 0), (slice(1300), 0), (slice(800, None), 20_000)],
+    ("part", "ppm"), [(slice(900), 0), (slice(1000, 1500), 0), (slice(800, None), 20_000)]
 )
 def test_parts_without_groundtruth_have_no_offset(part: slice, ppm: int) -> None:
     poses = irregular(span_s=120.0)

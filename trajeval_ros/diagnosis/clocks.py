@@ -194,11 +194,8 @@ def offsets_of_parts(
             continue
         lags, correlations, overlap_s = _correlations(groundtruth.cells(low, high), part)
         enough = overlap_s > 0.7 * count * cell_s
-        at = int(np.abs(lags - (first - low)).argmin())
-        if not enough[at]:
-            continue  # at the offset of the whole run, the groundtruth covers too little of it
         log_odds = np.where(enough, _log_odds(correlations, overlap_s), 0.0)
-        best = int(log_odds.argmax())
+        best, at = int(log_odds.argmax()), int(np.abs(lags - (first - low)).argmin())
         gain += float(log_odds[best] - log_odds[max(at - 2, 0) : at + 3].max())
         moved.append((first + count / 2.0, float(lags[best] - lags[at])))
     middles, offsets = np.array(moved).reshape(-1, 2).T
