@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 
 # Rows per block. Blocks of a few columns fit into a core's cache: twice as fast as whole columns.
 _BLOCK = 8192
@@ -225,7 +225,7 @@ def sum_of_matrices(quaternions: Floats, weights: Floats | None = None) -> Float
 def angle(quaternion: Floats) -> Floats:
     """Return the rotation angle (...) in [0, pi] rad; accurate near 0 and near pi."""
     half: Floats = np.arctan2(
-        np.sqrt(np.einsum("...i,...i->...", quaternion[..., :3], quaternion[..., :3])),
+        lengths(quaternion[..., :3]),
         np.abs(quaternion[..., 3]),
     )
     return 2.0 * half
@@ -306,5 +306,5 @@ def slerp(start: Floats, end: Floats, fraction: Floats) -> Floats:
     weights = np.where(half_angle < 1e-9, weights, np.sin(weights * half_angle))
     weights[1] = np.copysign(weights[1], together - apart)
     mixed = weights[0, :, None] * start + weights[1, :, None] * end
-    unit: Floats = mixed / np.sqrt(np.einsum("ni,ni->n", mixed, mixed))[:, None]
+    unit: Floats = mixed / lengths(mixed)[:, None]
     return unit

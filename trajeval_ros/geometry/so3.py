@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, lengths
 
 
 def skew(vector: Floats) -> Floats:
@@ -43,7 +43,7 @@ def log(matrix: Floats) -> Floats:
         ],
         axis=-1,
     )
-    sine = np.sqrt(np.einsum("...i,...i->...", axis, axis))
+    sine = lengths(axis)
     factor = np.where(sine < 1e-9, 1.0, np.arctan2(sine, cosine) / np.maximum(sine, 1e-9))
     vectors: Floats = factor[..., None] * axis
     far = cosine < -0.9  # there the sine is inaccurate and quaternions are used

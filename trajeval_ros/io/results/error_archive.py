@@ -31,7 +31,7 @@ def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
 
     Without pyarrow, errors.parquet is not among them.
     """
-    columns = [_pair_columns(run) for run in outcome.runs]
+    columns = [pair_columns(run) for run in outcome.runs]
     files = {ARCHIVE: write_errors}
     if have_pyarrow():
         files[TABLE] = write_error_table
@@ -43,9 +43,9 @@ def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
 def write_errors(path: Path, outcome: Outcome, columns: Sequence[ArrayColumns]) -> None:
     """Write the errors of all pairs and sub-trajectories of all runs as an npz archive.
 
-    `columns` are the `_pair_columns` of the runs.
+    `columns` are the `pair_columns` of the runs.
 
-    Keys of pairs are `NAME.stamps` (int64, nanoseconds), `NAME.position_m`, ... (`_pair_columns`).
+    Keys of pairs are `NAME.stamps` (int64, nanoseconds), `NAME.position_m`, ... (`pair_columns`).
     Keys of sub-trajectories contain their length: `NAME.8m.starts` and `NAME.8m.ends` (indices of
     pairs), `NAME.8m.position_m`, ... As-available errors: `NAME.available.stamps`, `row` (of the
     message in use), `age_ns`, `error_m` (N, 3), `parts_m` (4, N, 3). `NAME.probabilistic.edges`
@@ -80,7 +80,7 @@ def write_errors(path: Path, outcome: Outcome, columns: Sequence[ArrayColumns]) 
 def write_error_table(path: Path, outcome: Outcome, columns: Sequence[ArrayColumns]) -> None:
     """Write a Parquet table with one row per pair, of all runs.
 
-    `columns` are the `_pair_columns` of the runs. Those of the table are `estimate`, the name of
+    `columns` are the `pair_columns` of the runs. Those of the table are `estimate`, the name of
     the run, and their components (`component_columns`). A column that a run does not have is
     null. `trajeval.schema` in the metadata is the version of this layout.
 
@@ -94,7 +94,7 @@ def write_error_table(path: Path, outcome: Outcome, columns: Sequence[ArrayColum
     write_parquet(path, "estimate", tables, {"trajeval.schema": TABLE_SCHEMA})
 
 
-def _pair_columns(run: RunOutcome) -> ArrayColumns:
+def pair_columns(run: RunOutcome) -> ArrayColumns:
     """Return the columns of a run with N pairs, by name.
 
     Returns:

@@ -21,6 +21,7 @@ from trajeval_ros.io.text.names import (
     PARTS,
     RECEIVED,
     ROTATIONS,
+    TIME_UNITS,
     TIMES,
     Layout,
 )
@@ -49,7 +50,7 @@ _UNITS = {
     for word in words.split()
 }
 _OTHER_SPEED = r"[\[(](?!m[ /])[a-z]+ ?(?:/ ?[sh]|s\^?-1)|[\[(]m ?/ ?h"  # not m/s
-_TIME_UNITS, _LENGTHS = ("s", "ms", "us", "ns"), ("m", "mm", "cm", "km")
+_LENGTHS = ("m", "mm", "cm", "km")
 _NO_UNITS_OF_TIME = r"\d.*|.*s|min|h|d"  # others, such as [utc], do not say how long a step is
 _TIME = (
     r"(?:t|ts|utime|epoch|rostime|gpst|(?:gps|utc|ros|unix)_?time|time.*|stamp.*"
@@ -163,7 +164,7 @@ def name_and_unit(name: str) -> tuple[str, str]:
     unit = _UNITS.get(last, "")
     if before and unit and (unit not in ("min", "h", "d") or re.fullmatch(_TIME, before)):
         word = before.removesuffix("_in")
-    elif before or unit not in _TIME_UNITS:
+    elif before or unit not in TIME_UNITS:
         unit = ""
     if bracket and not bracket.isdigit():
         unit = _UNITS.get(bracket, bracket)
@@ -273,7 +274,7 @@ def from_header(names: Sequence[str], table: TextTable) -> Layout | None:
 def _check(header: _Header, columns: Sequence[str]) -> None:
     """Refuse a unit that a quantity can't have, and text in the place of a position."""
     for name, column, unit in zip(header.names, columns, header.units, strict=True):
-        possible = _TIME_UNITS if column in TIMES else _POSSIBLE.get(column, ())
+        possible = tuple(TIME_UNITS) if column in TIMES else _POSSIBLE.get(column, ())
         is_unit = column not in TIMES or re.fullmatch(_NO_UNITS_OF_TIME, unit)
         if unit and possible and unit not in possible and is_unit:
             raise InputError(
@@ -306,7 +307,7 @@ def _missing(
             for at, column in enumerate(table.values.T)
             if is_unpaired
             and columns[at] == IGNORED
-            and units[at] in ("", *_TIME_UNITS)
+            and units[at] in ("", *TIME_UNITS)
             and not re.fullmatch(_QUANTITY, plain[at])
             and is_clock(column)
         ]
@@ -318,7 +319,7 @@ def _missing(
     if clocks:
         columns = [IGNORED if name == FRAME else name for name in columns]
         words = [units[clocks[0]], *(_UNITS.get(word) for word in plain[clocks[0]].split("_"))]
-        unit = next((word for word in words if word in _TIME_UNITS), "")
+        unit = next((word for word in words if word in TIME_UNITS), "")
         columns[clocks[0]] = f"t_{unit}".rstrip("_")
         return "time", [columns]
     if "planar" in layout.groups and unknown:
@@ -369,7 +370,7 @@ def _columns(header: _Header) -> tuple[list[str], dict[int, str]]:
             if quantity in _ANGLES and units[place] == "deg":
                 quantity += "_deg"
             if "v" in quantity and (
-                units[place] in (*_TIME_UNITS, *_LENGTHS)
+                units[place] in (*TIME_UNITS, *_LENGTHS)
                 or re.search(_OTHER_SPEED, header.names[place].lower())
             ):
                 continue
@@ -405,9 +406,7 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
         or re.fullmatch(_EXACT_TIME, plain[at])
         or not goes_back(sample[:, at])  # as time differences do
     ]
-    times += [
-        at for at, word in enumerate(plain) if clocks[at] and _UNITS.get(word) in _TIME_UNITS
-    ]
+    times += [at for at, word in enumerate(plain) if clocks[at] and _UNITS.get(word) in TIME_UNITS]
     stems = ["" if word in _UNITS else word for word in plain]
     seconds = {
         stems[at]: at
@@ -432,7 +431,7 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
         ),
     )
     for place in times[:1]:
-        name(place, f"t_{units[place]}" if units[place] in _TIME_UNITS else "t")
+        name(place, f"t_{units[place]}" if units[place] in TIME_UNITS else "t")
         if place in joined:
             name(joined[place], PARTS[units[joined[place]]])
     for place in times[1:]:

@@ -15,14 +15,16 @@ from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 IGNORED, TEXT = "_", "text"
 FRAME, FRAME_1, DATE, CLOCK, RECEIVED = ("frame", "frame1", "date", "clock", "received")
 UNPADDED = "t_unpadded"  # seconds, a point, and nanoseconds without leading zeros
+TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
+# Units of the names of times, nanoseconds; None if the values tell it.
 UNITS = {
     "t": None,
-    "t_s": 10**9,
-    UNPADDED: 10**9,
-    "t_ms": 10**6,
-    "t_us": 10**3,
-    "t_ns": 1,
-    DATE: 10**9,
+    "t_s": TIME_UNITS["s"],
+    UNPADDED: TIME_UNITS["s"],
+    "t_ms": TIME_UNITS["ms"],
+    "t_us": TIME_UNITS["us"],
+    "t_ns": TIME_UNITS["ns"],
+    DATE: TIME_UNITS["s"],
 }
 TIMES = (*UNITS, FRAME, FRAME_1)
 # Columns to be added to times of whole seconds, as in a header of ROS, by their unit.

@@ -212,9 +212,11 @@ def _objects(path: Path) -> Iterator[Any]:
     """Yield the objects of JSON lines, or of the first list in a document."""
     with open_lines(path) as lines:
         first = lines.readline()
-        second = next(filter(str.strip, lines), "")  # a document can be one line
+        numbered = enumerate(lines, 2)
+        # A document can be one line.
+        second = next((item for item in numbered if item[1].strip()), None)
         if second and first.strip().endswith("}") and isinstance(_parsed(first), dict):
-            for at, line in enumerate(itertools.chain([first, second], lines), 1):
+            for at, line in itertools.chain([(1, first), second], numbered):
                 value = _parsed(line) if line.strip() else {}
                 if isinstance(value, Exception):
                     raise InputError(f"{path}, line {at}: no JSON object; write one per line")

@@ -25,6 +25,7 @@ from trajeval_ros.io.text.names import (
     FRAME,
     FRAME_1,
     RECEIVED,
+    TIME_UNITS,
     UNITS,
     UNPADDED,
     Layout,
@@ -300,12 +301,12 @@ def parts_of_seconds(path: Path, column: Floats, unit: str) -> Stamps:
     """Return the parts of whole seconds (N,) in nanoseconds, exact; `unit`: one of `PARTS`."""
     right = are_parts(column, unit)
     if not right.all():
-        row, name = int(np.argmin(right)), f"t_{unit}"
+        row = int(np.argmin(right))
         raise InputError(
-            f"{path}: row {row + 1} has {column[row]:g} {_WORDS[name]} after its seconds, "
-            f"expected 0 to {NANOSECONDS // (UNITS[name] or 1) - 1}; correct or remove the row"
+            f"{path}: row {row + 1} has {column[row]:g} {_WORDS[f't_{unit}']} after its seconds, "
+            f"expected 0 to {NANOSECONDS // TIME_UNITS[unit] - 1}; correct or remove the row"
         )
-    return column.astype(np.int64) * (UNITS[f"t_{unit}"] or 1)
+    return column.astype(np.int64) * TIME_UNITS[unit]
 
 
 def receive_times_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes:
