@@ -157,6 +157,9 @@ def test_json_lines(tmp_path: Path) -> None:
     path.write_text('{"time": 1.0, "x": 1.0}\n{"time"\n')
     with pytest.raises(InputError, match="line 2: no JSON object"):
         read_trajectory(path)
+    path.write_text('{"time": 1.0, "x": 1.0}\n\n\n{"time"\n')
+    with pytest.raises(InputError, match="line 4: no JSON object"):
+        read_trajectory(path)
     path.write_text('{"time": 1.0, "x": 1.0}\n')
     with pytest.raises(InputError, match="position"):
         read_trajectory(path)
