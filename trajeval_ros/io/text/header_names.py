@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import re
 from collections.abc import Callable, Sequence
@@ -12,6 +11,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.io.text.header_words import TIME_NAME, UNIT_OF_WORD, name_and_unit
 from trajeval_ros.io.text.layouts import example_for
 from trajeval_ros.io.text.names import (
     CLOCK,
@@ -29,33 +29,9 @@ from trajeval_ros.io.text.stamps import are_parts, goes_back, goes_forward, is_c
 from trajeval_ros.io.text.table import TextTable
 
 # Patterns are compiled on use, since most files have no header.
-_UNIT = r"\[([^\[\]]*)\]|\(([^()]*)\)"
-_UNITS = {
-    word: unit
-    for unit, words in {
-        "ns": "ns nsec nsecs nanosec nanosecs nanosecond nanoseconds nanos",
-        "us": "us usec usecs microsec microsecond microseconds micros",
-        "ms": "ms msec msecs millisec millisecond milliseconds millis",
-        "s": "s sec secs second seconds",
-        "deg": "deg degree degrees °",
-        "rad": "rad radian radians",
-        "m": "m metre metres meter meters",
-        "mm": "mm millimetre millimetres millimeter millimeters",
-        "cm": "cm centimetre centimetres centimeter centimeters",
-        "km": "km kilometre kilometres kilometer kilometers",
-        "min": "min minute minutes",
-        "h": "h hour hours",
-        "d": "d day days",
-    }.items()
-    for word in words.split()
-}
 _OTHER_SPEED = r"[\[(](?!m[ /])[a-z]+ ?(?:/ ?[sh]|s\^?-1)|[\[(]m ?/ ?h"  # not m/s
 _LENGTHS = ("m", "mm", "cm", "km")
 _NO_UNITS_OF_TIME = r"\d.*|.*s|min|h|d"  # others, such as [utc], do not say how long a step is
-_TIME = (
-    r"(?:t|ts|utime|epoch|rostime|gpst|(?:gps|utc|ros|unix)_?time|time.*|stamp.*"
-    r"|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?)"
-)
 _EXACT_TIME = "t|time|timestamp|stamp"  # preferred to times of something, such as track_time
 _RECEIVED = "received"
 _FRAME = r"frame|frame_?(?:index|number|num|no|id)|index|image|image_id|id|no|num|pose_index"
@@ -138,59 +114,13 @@ _LABEL = (
 )
 _COMPASS = r"(?:.*_)?(?:heading|azimuth|course|bearing|track)"
 _MOST_NAMES = 100  # in a header of a pose that is no table
-_LONGEST_NAME = 80  # characters: patterns need quadratic time for longer ones
-
-
-def split_header(line: str, separator: str) -> list[str]:
-    """Return the names in a header line."""
-    line = re.sub(r"\A[#%\s]*(?:(?:fields|format|columns|header)\s*[:=]?\s+)?", "", line)
-    with contextlib.suppress(UnicodeError):
-        line = line.encode("latin-1").decode("utf-8")
-    line = re.sub("[µμ]", "u", line)
-    if not separator:  # a unit after a space belongs to the name before it
-        line = re.sub(rf" (?={_UNIT})", "", " ".join(line.split()))  # runs of spaces are slow
-    return [name.strip(" \"'\t\r\n") for name in line.split(separator or None)]
-
-
-def name_and_unit(name: str) -> tuple[str, str]:
-    """Return a name in lower case, with _ between its words, and its unit, "" if it has none.
-
-    The unit is in brackets or the last word: `time [ms]`, `x_mm`, `yaw/deg`.
-    """
-    word = plain_of(name)
-    match = re.search(_UNIT, name)
-    bracket = (match[1] or match[2] or "").strip().lower() if match else ""
-    before, _, last = word.rpartition("_")
-    unit = _UNITS.get(last, "")
-    if before and unit and (unit not in ("min", "h", "d") or re.fullmatch(_TIME, before)):
-        word = before.removesuffix("_in")
-    elif before or unit not in TIME_UNITS:
-        unit = ""
-    if bracket and not bracket.isdigit():
-        unit = _UNITS.get(bracket, bracket)
-    return word, "us" if word == "utime" else unit
-
-
-def plain_of(name: str) -> str:
-    """Return a name in lower case, with _ between its words and without brackets."""
-    name = name[: 2 * _LONGEST_NAME]
-    name = re.sub(r"\A[^(]*\(\s*(?=\w+\Z)", "", re.sub(r"\s*\)\Z(?<!\()", ")", name))
-    name = name[:-1] if name.endswith(")") and "(" not in name else name
-    name = re.sub(r"\[(\d)\]", r"_\1", name)
-    name = re.sub(
-        r"(?<=[a-z])(?=(?:[A-Z][a-z]|Ns|Us|Ms)[a-z]*)|(?<=[A-Z])(?=Time\b)"
-        r"|(?:(?<=time)|(?<=stamp))(?=[mun]s)|(?<=\b[xyzXYZ])(?=[mck]m\b)",
-        "_",
-        name,
-    )
-    return re.sub(r"[^a-z0-9]+", "_", re.sub(_UNIT, "", name).lower()).strip("_")[:_LONGEST_NAME]
 
 
 def count_of_pose(names: Sequence[str]) -> int:
     """Return how many names are of a time, a position or a quaternion."""
     plain = [name_and_unit(name)[0] for name in names[:_MOST_NAMES]]
     return sum(
-        any(re.fullmatch(pattern, word) for pattern in (_TIME, _POSITION, _QUATERNION))
+        any(re.fullmatch(pattern, word) for pattern in (TIME_NAME, _POSITION, _QUATERNION))
         for word in plain
     )
 
@@ -318,7 +248,10 @@ def _missing(
         return "position", [example_for(table, columns).split()]
     if clocks:
         columns = [IGNORED if name == FRAME else name for name in columns]
-        words = [units[clocks[0]], *(_UNITS.get(word) for word in plain[clocks[0]].split("_"))]
+        words = [
+            units[clocks[0]],
+            *(UNIT_OF_WORD.get(word) for word in plain[clocks[0]].split("_")),
+        ]
         unit = next((word for word in words if word in TIME_UNITS), "")
         columns[clocks[0]] = f"t_{unit}".rstrip("_")
         return "time", [columns]
@@ -400,14 +333,16 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
     clocks = list(map(goes_forward, sample.T))
     times = [
         at
-        for at in header.places(_TIME)
+        for at in header.places(TIME_NAME)
         if header.table.texts[at]
         or "header_stamp" in plain[at]
         or re.fullmatch(_EXACT_TIME, plain[at])
         or not goes_back(sample[:, at])  # as time differences do
     ]
-    times += [at for at, word in enumerate(plain) if clocks[at] and _UNITS.get(word) in TIME_UNITS]
-    stems = ["" if word in _UNITS else word for word in plain]
+    times += [
+        at for at, word in enumerate(plain) if clocks[at] and UNIT_OF_WORD.get(word) in TIME_UNITS
+    ]
+    stems = ["" if word in UNIT_OF_WORD else word for word in plain]
     seconds = {
         stems[at]: at
         for at, column in enumerate(sample.T)

@@ -7,7 +7,8 @@ import re
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.text.header_names import count_of_pose, from_header, split_header
+from trajeval_ros.io.text.header_names import count_of_pose, from_header
+from trajeval_ros.io.text.header_words import split_header
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, example_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
 from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment
