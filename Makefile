@@ -100,7 +100,7 @@ test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, b
 	$(ALONE) $(ROS)/bin/python -m pytest -n 2 --dist loadfile -m ros
 
 oracles: $(ORACLES)/.installed ## Compare the estimator with Ceres and GTSAM, in an environment of their own.
-	OPENBLAS_NUM_THREADS=1 $(NICE) $(ORACLES)/bin/python -m pytest -m oracles tests/visual_inertial/test_solver_oracles.py
+	OPENBLAS_NUM_THREADS=1 $(NICE) $(ORACLES)/bin/python -m pytest -m oracles tests/papers/test_solver_oracles.py
 
 TARGET ?= test
 TIMES ?= 3

@@ -18,7 +18,7 @@ from tests.support.flights import DRIFTS_M, fly
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.studies.association_study import ReportedAte, compare_associations
+from trajeval_ros.papers.association_study import ReportedAte, compare_associations
 
 FLIGHTS = 40
 PROTOCOL = Protocol(gauge=Gauge.SE3, association=AssociationRule("continuous"), lengths=())

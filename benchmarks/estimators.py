@@ -20,10 +20,10 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
+from trajeval_ros.papers.scene import IMU_RATE_HZ, PROFILES, Scene, make_scene
+from trajeval_ros.papers.solver import GaugeHandling, solve
+from trajeval_ros.papers.state import State
 from trajeval_ros.simulation.motion import shape
-from trajeval_ros.visual_inertial.scene import IMU_RATE_HZ, PROFILES, Scene, make_scene
-from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
-from trajeval_ros.visual_inertial.state import State
 
 KEYFRAMES = (10, 30, 100)
 LANDMARKS = 500

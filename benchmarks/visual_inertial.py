@@ -13,11 +13,11 @@ from statistics import median
 
 import numpy as np
 
+from trajeval_ros.papers.flight import Sampler
+from trajeval_ros.papers.gauge_covariance import fixed_covariance, free_covariance
+from trajeval_ros.papers.scene import PROFILES, make_scene
+from trajeval_ros.papers.solver import GaugeHandling, solve
 from trajeval_ros.simulation.motion import shape
-from trajeval_ros.visual_inertial.flight import Sampler
-from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, free_covariance
-from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
-from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 
 SIZES = ((10, 50), (10, 500), (30, 500), (100, 500))
 LONG_KEYFRAMES, LONG_LANDMARKS, LONG_TRACK, LONG_M = 1000, 10_000, 8, 500.0

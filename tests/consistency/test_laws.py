@@ -38,12 +38,12 @@ from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.marker import at_arms
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.visual_inertial.flight import SampledEstimate, Sampler
-from trajeval_ros.visual_inertial.gauge_covariance import (
+from trajeval_ros.papers.flight import SampledEstimate, Sampler
+from trajeval_ros.papers.gauge_covariance import (
     fixed_covariance,
     free_covariance,
 )
-from trajeval_ros.visual_inertial.scene import Scene
+from trajeval_ros.papers.scene import Scene
 
 SUBSETS = [*ALIGNMENTS, (Gauge.YAW, 4), (Gauge.SE3, 5), (Gauge.SIM3, 5)]
 DOWN = np.array([0.0, 0.0, 1.0])
@@ -183,7 +183,7 @@ def test_sparse_information_gives_the_nees_of_the_dense_covariance(
         (Rotation.from_rotvec(shift / 10.0) * estimate.rotations).as_quat(),
     )
     covariance = to_left(free_covariance(problem, state), state)
-    from trajeval_ros.visual_inertial.reduction import information_of
+    from trajeval_ros.papers.reduction import information_of
 
     information = information_of(problem, state)
     similarity = alignment_of(gauge, states, truth, estimate)

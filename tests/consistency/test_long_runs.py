@@ -20,8 +20,8 @@ from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.visual_inertial.flight import Flight, Odometry, fly
-from trajeval_ros.visual_inertial.scene import PROFILES
+from trajeval_ros.papers.flight import Flight, Odometry, fly
+from trajeval_ros.papers.scene import PROFILES
 
 RUNS = 12
 

@@ -39,9 +39,9 @@ from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.papers.gauge_covariance import fixed_covariance
+from trajeval_ros.papers.solver import GAUGE_INDICES
 from trajeval_ros.pipeline.pipeline import evaluate
-from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
-from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
 
 
 def _good(count: int = 5) -> np.ndarray:
@@ -226,7 +226,7 @@ def test_bound_contains_the_covariance_and_is_tight_in_the_estimators_gauge() ->
     scene = scene_of("arc", "random")
     truth = trajectory_of(scene, scene.groundtruth)
     problem = scene.noise_free()
-    from trajeval_ros.visual_inertial.reduction import information_of
+    from trajeval_ros.papers.reduction import information_of
 
     covariance = some_covariance(information_of(problem, scene.groundtruth).toarray())
     published = aligned_run(Gauge.YAW, 1, truth, truth, covariance).covariance

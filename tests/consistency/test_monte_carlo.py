@@ -39,10 +39,10 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.visual_inertial.flight import Sampler, fly
-from trajeval_ros.visual_inertial.gauge_covariance import free_covariance
-from trajeval_ros.visual_inertial.scene import PROFILES, Scene
-from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
+from trajeval_ros.papers.flight import Sampler, fly
+from trajeval_ros.papers.gauge_covariance import free_covariance
+from trajeval_ros.papers.scene import PROFILES, Scene
+from trajeval_ros.papers.solver import GaugeHandling, solve
 
 RUNS = 500
 PER_POSE_DOF = 6

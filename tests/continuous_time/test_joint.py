@@ -10,9 +10,9 @@ from scipy.stats import multivariate_normal
 from solved_process import solved
 from strategies import seeds
 
-from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.manifolds import Positions
 from trajeval_ros.geometry import se3
+from trajeval_ros.likelihood.correlated_groundtruth import JointPosterior
 
 
 @given(seed=seeds)

@@ -23,7 +23,6 @@ from trajeval_ros.continuous_time.continuous_trajectory import (
     MarkovPoses,
     fit_trajectory,
 )
-from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import (
     MATERN_32,
     MATERN_52,
@@ -41,6 +40,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.banded_matrices import BandedGaussian, Factor
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.likelihood.correlated_groundtruth import JointPosterior
 
 Array = NDArray[np.float64]
 UNIT_ROUNDOFF = float(np.finfo(np.float64).eps) / 2.0

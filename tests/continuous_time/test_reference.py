@@ -9,7 +9,6 @@ import pytest
 from dense_joint import dense_covariance
 from solved_process import solved
 
-from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import (
     MATERN_52,
     SQUARED_EXPONENTIAL,
@@ -19,6 +18,7 @@ from trajeval_ros.continuous_time.kernels import (
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.piecewise_gp import GPSegments, PiecewiseGP
 from trajeval_ros.continuous_time.samples import Noise, Samples
+from trajeval_ros.likelihood.correlated_groundtruth import JointPosterior
 
 KERNELS = {"se": SQUARED_EXPONENTIAL, "m52": MATERN_52}
 CLOSE: Any = {"rtol": 1e-11, "atol": 1e-11}

@@ -10,10 +10,10 @@ from visual_inertial_scenes import frobenius, scene_of
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.banded_matrices import BandedGaussian
+from trajeval_ros.papers.flight import Sampler
+from trajeval_ros.papers.gauge_covariance import fixed_covariance
+from trajeval_ros.papers.scene import PROFILES, Scene, make_scene
 from trajeval_ros.simulation.motion import shape
-from trajeval_ros.visual_inertial.flight import Sampler
-from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
-from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
 
 
 @pytest.fixture(scope="module")

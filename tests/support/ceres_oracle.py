@@ -13,9 +13,9 @@ import numpy as np
 from visual_inertial_scenes import visual_errors
 
 from trajeval_ros.geometry import lie, so3
-from trajeval_ros.visual_inertial.problem import Problem
-from trajeval_ros.visual_inertial.solver import GaugeHandling
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.papers.problem import Problem
+from trajeval_ros.papers.solver import GaugeHandling
+from trajeval_ros.papers.state import State
 
 
 @dataclass(frozen=True, eq=False)

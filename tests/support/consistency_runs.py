@@ -13,9 +13,9 @@ from trajeval_ros.consistency.s_transformation import STransformation, carried, 
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import align, align_first
-from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.papers.scene import Scene
+from trajeval_ros.papers.solver import GAUGE_INDICES
+from trajeval_ros.papers.state import State
 
 ALIGNMENTS = [
     (Gauge.YAW, 1),

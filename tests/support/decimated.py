@@ -11,7 +11,7 @@ from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTraject
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.studies.association_study import Degradation
+from trajeval_ros.papers.association_study import Degradation
 
 Array = NDArray[np.float64]
 LIMIT_95 = 12.591587243743977  # chi2.ppf(0.95, 6)

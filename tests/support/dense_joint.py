@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
+from trajeval_ros.likelihood.correlated_groundtruth import JointPosterior
 
 
 def dense_covariance(joint: JointPosterior) -> NDArray[np.float64]:

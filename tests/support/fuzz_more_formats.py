@@ -34,8 +34,8 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.io.hand_eye_file import read_similarity
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.studies.keyframe_selection import select
-from trajeval_ros.studies.tracks_folder import read_camera, read_tracks_folder
+from trajeval_ros.papers.keyframe_selection import select
+from trajeval_ros.papers.tracks_folder import read_camera, read_tracks_folder
 
 
 def make_tracks(random: Random, folder: Path) -> Changed:

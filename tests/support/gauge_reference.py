@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.visual_inertial.camera import Camera
-from trajeval_ros.visual_inertial.problem import Problem
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.papers.camera import Camera
+from trajeval_ros.papers.problem import Problem
+from trajeval_ros.papers.state import State
 
 
 class Case:

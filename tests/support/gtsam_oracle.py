@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.visual_inertial.problem import Problem
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.papers.problem import Problem
+from trajeval_ros.papers.state import State
 
 _STEP = 1e-5
 

@@ -53,8 +53,7 @@ SUBPACKAGES = {
     "io/bags": ["io/bags"],
     "io/text": ["io/text"],
     "metrics": ["metrics", "system"],
-    "studies": ["studies"],
-    "visual_inertial": ["visual_inertial"],
+    "papers": ["papers"],
     "watchdog": ["watchdog"],
 }
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.preintegration import GRAVITY
+from trajeval_ros.papers.scene import IMU_RATE_HZ, PROFILES, make_scene
+from trajeval_ros.papers.sensor_recording import Lens
 from trajeval_ros.simulation.motion import shape
-from trajeval_ros.studies.sensor_recording import Lens
-from trajeval_ros.visual_inertial.scene import IMU_RATE_HZ, PROFILES, make_scene
 
 WIDTH, HEIGHT = 752, 480
 LENSES = {

@@ -1,4 +1,4 @@
-"""Scenes and dense forms that the tests of visual_inertial share."""
+"""Scenes and dense forms that the tests of the visual-inertial estimator share."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.papers.gauge_covariance import fixed_covariance
+from trajeval_ros.papers.problem import NormalEquations, Problem
+from trajeval_ros.papers.reduction import motion_matrix
+from trajeval_ros.papers.reprojection_errors import ReprojectionErrors
+from trajeval_ros.papers.scene import PROFILES, Scene, make_scene
+from trajeval_ros.papers.solver import GAUGE_INDICES, GaugeHandling, solve
+from trajeval_ros.papers.state import State
 from trajeval_ros.simulation.motion import shape
-from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
-from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
-from trajeval_ros.visual_inertial.reduction import motion_matrix
-from trajeval_ros.visual_inertial.reprojection_errors import ReprojectionErrors
-from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
-from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
-from trajeval_ros.visual_inertial.state import State
 
 CONFIGURATIONS = [
     (name, layout) for layout in ("plane", "random") for name in ("sine", "arc", "rec")

@@ -27,8 +27,8 @@ from trajeval_ros.consistency.integrity import (
     times_to_alert,
 )
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.visual_inertial.flight import fly
-from trajeval_ros.visual_inertial.scene import PROFILES
+from trajeval_ros.papers.flight import fly
+from trajeval_ros.papers.scene import PROFILES
 
 DATA = SHARED / "data" / "euroc"
 

@@ -20,8 +20,8 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.visual_inertial.flight import fly
-from trajeval_ros.visual_inertial.scene import PROFILES
+from trajeval_ros.papers.flight import fly
+from trajeval_ros.papers.scene import PROFILES
 
 OURS = dataclasses.replace(PROTOCOLS["ov_eval"], lengths=())
 IN_BODY = CovarianceRequest("message", rotation_frame="body")

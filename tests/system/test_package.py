@@ -33,7 +33,6 @@ LAYERS = {
     "calibration": 4,
     "consistency": 4,
     "likelihood": 4,
-    "visual_inertial": 4,
     "diagnosis": 5,
     "watchdog": 5,
     "explanation": 6,
@@ -44,7 +43,7 @@ LAYERS = {
     "viewer": 8,
     "batch": 9,
     "ros": 9,
-    "studies": 9,
+    "papers": 9,
     "cli": 10,
     "__main__": 11,
 }
@@ -76,7 +75,7 @@ MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "linear_algebra_thre
 IMPORTED_ONLY_IN = {
     "rclpy": {"ros"},
     "rerun": {"viewer"},
-    "matplotlib": {"report", "studies"},
+    "matplotlib": {"report", "papers"},
     "PIL": {"io", "viewer"},
     "click": {"cli"},
     "rich_click": {"cli"},

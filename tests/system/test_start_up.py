@@ -210,8 +210,7 @@ def test_verbs_that_evaluate_nothing_live_do_without_ros_and_simulation(name: st
     _, loaded = _loaded(MAIN.format(arguments=[name, "--nope"]))
     subpackages = {".".join(item.split(".")[:2]) for item in loaded}
     unwanted = {
-        f"trajeval_ros.{name}"
-        for name in ("ros", "batch", "visual_inertial", "simulation", "studies", "viewer")
+        f"trajeval_ros.{name}" for name in ("ros", "batch", "papers", "simulation", "viewer")
     }
     assert not subpackages & unwanted
     assert not loaded & {"scipy", "matplotlib", "jinja2", "pyarrow", "rerun"}

@@ -151,9 +151,9 @@ def _write_runs(
     from trajeval_ros.consistency.joint_covariance import JointCovariance
     from trajeval_ros.io.bags.write_bag import write_bag
     from trajeval_ros.io.covariance_file import write_joint_covariance
+    from trajeval_ros.papers.flight import fly
+    from trajeval_ros.papers.scene import PROFILES
     from trajeval_ros.simulation.simulated_sensors import imu_readings
-    from trajeval_ros.visual_inertial.flight import fly
-    from trajeval_ros.visual_inertial.scene import PROFILES
 
     require_one_of(profile, [_DRIFT, _SLOW, *PROFILES], "profile")
     if runs < 1 or seed < 0:
@@ -209,7 +209,7 @@ def _topics(
     groundtruth: Trajectory, estimate: Trajectory, seed: int, *, slow: bool = False
 ) -> dict[str, tuple[Trajectory, str]]:
     """Return the trajectories by topic; the estimate with its receive times."""
-    from trajeval_ros.simulation.simulated_delays import SLOW, USUAL, with_receive_times
+    from trajeval_ros.simulation.odometry_faults import SLOW, USUAL, with_receive_times
 
     estimate = with_receive_times(estimate, SLOW if slow else USUAL, seed)
     return {

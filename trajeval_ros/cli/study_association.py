@@ -20,7 +20,7 @@ from trajeval_ros.io.source_names import names_of
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
-    from trajeval_ros.studies.association_study import AssociationComparison, Degradation
+    from trajeval_ros.papers.association_study import AssociationComparison, Degradation
 
 
 _DROPOUT_LENGTH = "1,2.5"
@@ -67,7 +67,7 @@ def study_association(
         trajeval study association -g groundtruth.csv -e estimate.txt --rate 2
     """
     from trajeval_ros.io.requests.request_from import protocol_from
-    from trajeval_ros.studies.association_study import Degradation, compare_associations
+    from trajeval_ros.papers.association_study import Degradation, compare_associations
 
     if groundtruth is None or not estimate:
         raise SettingsError("groundtruth or estimate missing; give --groundtruth and --estimate")
@@ -107,8 +107,8 @@ def _durations(text: str) -> tuple[float, float]:
 def _print(
     comparisons: list[AssociationComparison], degradation: Degradation, poor: Trajectory
 ) -> None:
+    from trajeval_ros.papers.association_study import association_table
     from trajeval_ros.report.console import console, show
-    from trajeval_ros.studies.association_study import association_table
 
     terminal = console()
     terminal.print(

@@ -14,10 +14,10 @@ from trajeval_ros.io.requests.setting import parse_imu_noise
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
-    from trajeval_ros.studies.examination import Examination, MeasurementModel
-    from trajeval_ros.studies.gauge_study import GaugeStudy
-    from trajeval_ros.studies.gauge_trials import StudiedScene
-    from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
+    from trajeval_ros.papers.examination import Examination, MeasurementModel
+    from trajeval_ros.papers.gauge_study import GaugeStudy
+    from trajeval_ros.papers.gauge_trials import StudiedScene
+    from trajeval_ros.papers.scene import Scene, SensorProfile
 
 _SEED = 0
 _MOTION_LANDMARKS = 150
@@ -95,10 +95,10 @@ def study_gauge(
         trajeval study gauge --output study --motion MH_01.txt --motion V1_01.csv
     """
     from trajeval_ros.cli.progress import progress
+    from trajeval_ros.papers.examination import MeasurementModel
+    from trajeval_ros.papers.gauge_study import run_study
+    from trajeval_ros.papers.scene import make_scene, profile_named
     from trajeval_ros.simulation.motion import shape
-    from trajeval_ros.studies.examination import MeasurementModel
-    from trajeval_ros.studies.gauge_study import run_study
-    from trajeval_ros.visual_inertial.scene import make_scene, profile_named
 
     if output is None:
         raise SettingsError("--output is missing; give a folder, as in --output study")
@@ -156,8 +156,8 @@ def _above_zero(option: str, value: float) -> Any:
 
 def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examination | None]:
     """Return the name and the examination of measured tracks; "" and None without a folder."""
-    from trajeval_ros.studies.examination import examine
-    from trajeval_ros.studies.tracks_folder import read_tracks_folder
+    from trajeval_ros.papers.examination import examine
+    from trajeval_ros.papers.tracks_folder import read_tracks_folder
 
     if folder is None:
         return "", None
@@ -172,8 +172,8 @@ def _recorded(
 
     from trajeval_ros.io.source_names import names_of
     from trajeval_ros.io.sources import read_trajectory
+    from trajeval_ros.papers.scene import make_scene
     from trajeval_ros.simulation.motion import recorded
-    from trajeval_ros.visual_inertial.scene import make_scene
 
     scenes = {}
     for source, name in zip(sources, names_of(sources), strict=True):
@@ -196,8 +196,8 @@ def _write(folder: Path, study: GaugeStudy, look: FigureStyle) -> None:
 
 
 def _print(folder: Path, study: GaugeStudy) -> None:
+    from trajeval_ros.papers.gauge_tables import accuracy_table, percent_and_range
     from trajeval_ros.report.console import console, show
-    from trajeval_ros.studies.gauge_tables import accuracy_table, percent_and_range
 
     terminal = console()
     for line in study.lines():

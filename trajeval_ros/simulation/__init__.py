@@ -1,4 +1,4 @@
 """Simulated motion, sensors and odometry, without an estimator.
 
-The estimator's own simulated runs are in `visual_inertial/flight.py`.
+The estimator's own simulated runs are in `papers/flight.py`.
 """
