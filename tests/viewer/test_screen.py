@@ -196,3 +196,14 @@ def test_pictures_of_the_readme_are_not_stale(tmp_path: Path) -> None:
         for name in readme_pictures.PICTURES
     }
     assert {name: value for name, value in apart.items() if value > 6.0} == {}
+
+
+def test_the_animation_of_the_readme_lasts_ten_seconds_and_loads_fast() -> None:
+    file = readme_pictures.IMAGES / readme_pictures.ANIMATION
+    assert f"images/{file.name})" in (readme_pictures.ROOT / "README.md").read_text("utf-8")
+    assert file.stat().st_size < 2_000_000
+    with Image.open(file) as animation:
+        frames = animation.n_frames
+        animation.seek(frames - 1)
+        animation.load()
+        assert frames * animation.info["duration"] == 10_000

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.temporary import temporary_folder
@@ -18,6 +18,9 @@ from trajeval_ros.io.writing import write_whole
 from trajeval_ros.viewer.program import free_port, require_recording, rerun_program
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.sinks import LOOPBACK
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _PATIENCE_S = 60.0
 _SETTLE_S = 4.0
@@ -41,9 +44,14 @@ def save_png(file: Path, png: Path) -> None:
         with headless_viewer(file) as url:
             ask_for_screenshot(url, taken)
         with Image.open(taken) as whole:
-            box = (0, _MENU * whole.height // _HEIGHT, whole.width, whole.height)
-            shown = whole.convert("RGB").crop(box)
+            shown = without_menu(whole)
     write_whole(png, lambda path: shown.save(path, "PNG", optimize=True), follow_link=True)
+
+
+def without_menu(whole: Image.Image) -> Image.Image:
+    """Return a screenshot of the viewer without its menu."""
+    box = (0, _MENU * whole.height // _HEIGHT, whole.width, whole.height)
+    return whole.convert("RGB").crop(box)
 
 
 def ask_for_screenshot(url: str, png: Path) -> None:
@@ -68,10 +76,11 @@ def ask_for_screenshot(url: str, png: Path) -> None:
 
 
 @contextmanager
-def headless_viewer(file: Path) -> Iterator[str]:
+def headless_viewer(file: Path, patience_s: float = _PATIENCE_S) -> Iterator[str]:
     """Run the viewer of a file (.rrd) without a window, and yield its address.
 
-    After a minute the viewer is ended, and connections to it fail, because the SDK has no timeout.
+    After `patience_s` the viewer is ended, and connections to it fail, because the SDK has no
+    timeout.
     """
     port = free_port()
     silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -83,7 +92,7 @@ def headless_viewer(file: Path) -> Iterator[str]:
             late.set()
             viewer.kill()
 
-        timer = threading.Timer(_PATIENCE_S, end)
+        timer = threading.Timer(patience_s, end)
         timer.start()
         try:
             _wait_for(viewer, port)
@@ -91,7 +100,7 @@ def headless_viewer(file: Path) -> Iterator[str]:
         except InputError as error:
             if late.is_set():
                 raise InputError(
-                    f"Rerun's viewer did not draw {file} within {_PATIENCE_S:g} s; close other "
+                    f"Rerun's viewer did not draw {file} within {patience_s:g} s; close other "
                     "programs and try again"
                 ) from error
             # On a busy machine it may find out after it was connected to.
