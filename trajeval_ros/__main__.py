@@ -1,7 +1,7 @@
 """The programs, from their first moment: `python -m trajeval_ros` is `trajeval`.
 
-Nothing is imported here that takes long: Ctrl-C is heard before everything else is, and linear
-algebra is told how many threads to take.
+Nothing is imported here that takes long: Ctrl-C is handled first, and the number of threads of
+linear algebra is set before numpy is imported.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     Program: TypeAlias = Callable[[Sequence[str]], int]
 
 _INTERRUPTED = 130
-_AGAIN_S = 0.05
+_REPEAT_AFTER_S = 0.05
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     if words == ["--version"]:
-        # Scripts ask for it: it doesn't wait for the command line's libraries.
+        # Scripts call it often: it does not import the command line's libraries.
         print(f"trajeval_ros {__version__}")
         return 0
     return _run(_command_line, words)
@@ -58,15 +58,15 @@ def _evaluator(_words: Sequence[str]) -> Program:
 
 
 def _run(load: Callable[[Sequence[str]], Program], words: Sequence[str]) -> int:
-    # What runs in the background may have been told to ignore it.
-    is_heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if is_heard:
+    # A program in the background may ignore it.
+    handles_interrupts = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if handles_interrupts:
         # An exception would come out of half an import, or be lost in one.
         signal.signal(signal.SIGINT, _leave)
     from trajeval_ros.linear_algebra_threads import take_one_thread
 
     take_one_thread()
-    # Imports leave nothing to collect. What they made stays, and is never searched for garbage.
+    # Imports leave nothing to collect. Their objects stay, and are never searched for garbage.
     gc.disable()
     try:
         program = load(words)
@@ -81,23 +81,23 @@ def _run(load: Callable[[Sequence[str]], Program], words: Sequence[str]) -> int:
     gc.freeze()
     gc.enable()
     try:
-        if is_heard:
+        if handles_interrupts:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            sys.unraisablehook = _hear_again
+            sys.unraisablehook = _repeat_interrupt
         return program(words)
-    except KeyboardInterrupt:  # before or after it takes care of that
+    except KeyboardInterrupt:  # before or after the program handles it
         _leave()
     finally:
-        if is_heard:  # there is nothing left to be put in order
+        if handles_interrupts:  # nothing is left to clean up
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def _hear_again(dropped: sys.UnraisableHookArgs) -> None:
-    """Repeat a Ctrl-C that came where Python can't raise, as while it collects an object."""
+def _repeat_interrupt(dropped: sys.UnraisableHookArgs) -> None:
+    """Repeat a Ctrl-C that came where Python can't raise, as in the finaliser of an object."""
     import threading
 
     if isinstance(dropped.exc_value, KeyboardInterrupt):
-        again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGINT))
+        again = threading.Timer(_REPEAT_AFTER_S, os.kill, (os.getpid(), signal.SIGINT))
         again.daemon = True
         again.start()
     else:

@@ -47,7 +47,7 @@ class SettingsError(TrajevalError):
 
 
 class DegenerateGeometryError(TrajevalError):
-    """The states don't determine the alignment that the gauge asks for."""
+    """The states don't determine the alignment of the gauge."""
 
 
 class NoMatchError(InputError):

@@ -269,11 +269,12 @@ def test_sizes_with_which_tests_can_reject() -> None:
     assert [equal_trials(item, level) for item in (1, 2, 3, 5, 6)] == [4, 3, 2, 2, 1]
     assert equal_trials(1, level / 2.0) == 5
     assert [more_trials([(1, 1)] * item, level) for item in (1, 5, 6)] == [38, 1, 0]
-    asked = {}
+    tested = {}
     for size in ((5, 5), (10, 3), (12, 2), (4, 4), (10, 2)):
         z = np.zeros((sum(size), 1))
-        asked[size] = PermutationTest(samples([size] * 2, [z, z]), np.zeros(1), level).asks[0]
-    assert asked == {(5, 5): True, (10, 3): True, (12, 2): True, (4, 4): False, (10, 2): False}
+        test = PermutationTest(samples([size] * 2, [z, z]), np.zeros(1), level)
+        tested[size] = test.tests_alone[0]
+    assert tested == {(5, 5): True, (10, 3): True, (12, 2): True, (4, 4): False, (10, 2): False}
 
 
 @pytest.mark.parametrize(("old", "new"), [(0, 3), (1, 4), (2, 2), (0, 0), (5, 5)])

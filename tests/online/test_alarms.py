@@ -187,16 +187,16 @@ def test_the_numbers_of_a_text_change_every_ten_seconds() -> None:
     standing.renew([first])
     now_s = 9.9
     assert standing.renew([later]) == []
-    assert standing.as_told([later, worse, other]) == [first, worse, other]
+    assert standing.kept_texts([later, worse, other]) == [first, worse, other]
     now_s = 10.1
     assert standing.renew([later]) == []
-    assert standing.as_told([later]) == [later]
+    assert standing.kept_texts([later]) == [later]
     now_s = 20.0
-    assert standing.as_told([last]) == [later]
+    assert standing.kept_texts([last]) == [later]
     now_s = 20.2
-    assert standing.as_told([last]) == [last]
+    assert standing.kept_texts([last]) == [last]
     standing.renew([])
-    assert standing.as_told([first]) == [first]
+    assert standing.kept_texts([first]) == [first]
 
 
 @pytest.mark.parametrize(

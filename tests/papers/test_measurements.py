@@ -214,5 +214,5 @@ def test_nothing_observed_is_refused() -> None:
 
 def test_a_camera_sees_what_is_in_front_of_it_and_in_range() -> None:
     depths = np.array([-40.0, -0.5, 0.0, 0.29, 0.31, 29.0, 31.0])
-    seen = Camera(400.0, 640, 480).sees(depths[:, None] * [0.0, 0.0, 1.0])
+    seen = Camera(400.0, 640, 480).in_view(depths[:, None] * [0.0, 0.0, 1.0])
     assert seen.tolist() == [False, False, False, False, True, True, False]

@@ -130,7 +130,7 @@ def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
         now = remarks(live)
         assert not [item for item in now if item.code == "late"]
         told += [item.text for item in standing.renew(now) if item.code == "clock"]
-        printed += [item.text for item in standing.as_told(now) if item.code == "clock"]
+        printed += [item.text for item in standing.kept_texts(now) if item.code == "clock"]
     assert len(printed) > 5
     assert set(printed) == set(told)
     [text] = told

@@ -269,7 +269,7 @@ def test_an_autosave_that_is_late_says_so(tmp_path: Path, monkeypatch: pytest.Mo
     writing = ResultWriting(lambda: run, lambda text, _: told.append(text))
     for _ in range(400):
         now[0] += 1.0
-        writing.tell(30.0)
+        writing.report(30.0)
         if run.finisher.is_busy:
             written.append(now[0])
             now[0] += took_s

@@ -66,7 +66,7 @@ def write_estimate(
     description = {**DESCRIPTION, "name": path.stem, "place": place}
     writer = StateWriter(path, description)
     writer.append(trajectory(stamps[:at], estimate[:at]))
-    writer.tell(STATE if state is None else state)
+    writer.describe(STATE if state is None else state)
     writer.append(trajectory(stamps[at:], estimate[at:]))
     writer.close()
     return path

@@ -52,11 +52,11 @@ def test_ctrl_c_in_the_first_second_is_one_line(module: str, program: str) -> No
 def test_ctrl_c_while_an_object_is_collected_is_not_lost() -> None:
     code = (
         "import sys, time\n"
-        "from trajeval_ros.__main__ import _hear_again\n"
+        "from trajeval_ros.__main__ import _repeat_interrupt\n"
         "class Collected:\n"
         "    def __del__(self):\n"
         "        raise KeyboardInterrupt\n"
-        "sys.unraisablehook = _hear_again\n"
+        "sys.unraisablehook = _repeat_interrupt\n"
         "try:\n"
         "    Collected()\n"
         "    time.sleep(600)\n"
@@ -74,7 +74,7 @@ def test_what_runs_in_the_background_may_ignore_ctrl_c() -> None:
     assert interrupted_at("click", "main", ignore) == (0, "")
 
 
-def test_all_programs_begin_where_ctrl_c_is_heard() -> None:
+def test_all_programs_begin_by_handling_ctrl_c() -> None:
     programs = distribution("trajeval-ros").entry_points.select(group="console_scripts")
     assert {program.name for program in programs} == {"trajeval", "evaluator", "replay"}
     assert {program.module for program in programs} == {"trajeval_ros.__main__"}

@@ -39,23 +39,23 @@ def run_plan(
     plan: Plan,
     folder: Path,
     start_pool: Callable[[], Pool],
-    tell: Callable[[Progress], None] = lambda progress: None,
+    report: Callable[[Progress], None] = lambda progress: None,
 ) -> Progress:
     """Evaluate the runs without a record, and write the tables.
 
-    `start_pool`: returns the workers; called only if a run must be evaluated. `tell`: called at
+    `start_pool`: returns the workers; called only if a run must be evaluated. `report`: called at
     the start and end of every run.
     """
     load_pyarrow()
     with refused_by_disk(f"the folder {folder / RECORDS}"):
         (folder / RECORDS).mkdir(parents=True, exist_ok=True)
     records, fingerprints = RecordStore(folder / RECORDS), Fingerprints(folder / _INPUTS)
-    batch = _RunningComparison(plan, records, fingerprints, start_pool, tell)
+    batch = _RunningComparison(plan, records, fingerprints, start_pool, report)
     if has_tables(folder):
         tasks = list(batch.planned())
         if batch.finished().is_in(folder):
             batch.progress.kept = len(tasks)
-            tell(batch.progress)
+            report(batch.progress)
             return batch.progress
     batch.evaluate(batch.planned())
     if plan.common_time_span:
@@ -73,7 +73,7 @@ class _RunningComparison:
         records: RecordStore,
         fingerprints: Fingerprints,
         start_pool: Callable[[], Pool],
-        tell: Callable[[Progress], None],
+        report: Callable[[Progress], None],
     ) -> None:
         self.plan = plan
         self.records = records
@@ -86,7 +86,7 @@ class _RunningComparison:
         self._evaluated: set[PlannedRun] = set()
         self._fingerprints = fingerprints
         self._start_pool = start_pool
-        self._tell = tell
+        self._report = report
 
     def planned(self) -> Iterator[Task]:
         """Yield the tasks, while their inputs are hashed.
@@ -127,7 +127,7 @@ class _RunningComparison:
             for task in tasks:
                 if task.key in self.records:
                     self.progress.kept += 1
-                    self._tell(self.progress)
+                    self._report(self.progress)
                 else:
                     yield task
 
@@ -192,7 +192,7 @@ class _RunningComparison:
             self.progress.done += 1
             self._evaluated.add(task.run)
             self.progress.new = len(self._evaluated)
-        self._tell(self.progress)
+        self._report(self.progress)
 
     def _fail(self, run: PlannedRun, reason: str) -> None:
         self.failures[run] = reason
@@ -200,4 +200,4 @@ class _RunningComparison:
 
     def _show(self, running: list[Task]) -> None:
         self.progress.running = [task.run.name for task in running]
-        self._tell(self.progress)
+        self._report(self.progress)

@@ -245,7 +245,7 @@ def _tested(
         numbers = {item.group: item for item in verdict.numbers}
         for number in verdict.undecided:
             place, verdict_of_group = groups.index(number.group), together
-            if len(sizes) > 1 and not test.asks[place]:
+            if len(sizes) > 1 and not test.tests_alone[place]:
                 verdict_of_group = {"verdict": NOT_ALONE}
             elif len(sizes) > 1:
                 tests = [(side.alone[place, k], side.level_alone)

@@ -166,8 +166,8 @@ class PermutationTest:
         self._scores = [item.scores - margins * item.units for item in samples]
         self._judged = np.array([item.judged for item in samples])
         # Whether a sequence is tested alone, (sequences,); this depends on sizes only.
-        self.asks = np.array([can_reject(item.count, self._half) for item in samples])
-        self.asks &= len(samples) > 1
+        self.tests_alone = np.array([can_reject(item.count, self._half) for item in samples])
+        self.tests_alone &= len(samples) > 1
         pairs = list(zip(samples, self._scores, strict=True))
         errors = np.array([item.error((scores**2).sum(0)) for item, scores in pairs])
         columns = zip(errors.T, self._judged.T, strict=True)
@@ -180,7 +180,7 @@ class PermutationTest:
             differences = labels @ scores / sample.weight
             sums = sums + self._weights[place] * differences
             units = units + self._weights[place] * (labels @ sample.units / sample.weight)
-            if self.asks[place]:
+            if self.tests_alone[place]:
                 error = sample.error_within((scores**2).sum(0), differences)
                 every = np.where(sample.judged, differences / (error + self._typical), np.nan)
                 t[place] = every[0]
@@ -231,7 +231,7 @@ class PermutationTest:
             least = _least(partial(_weighted, runs), -np.inf, actual, level, self._typical[k])
             common[k] = self._margins[k] + least
         single: dict[tuple[int, int], _Worse] = {}
-        for place, k in zip(*np.nonzero(self._judged & self.asks[:, None]), strict=True):
+        for place, k in zip(*np.nonzero(self._judged & self.tests_alone[:, None]), strict=True):
             sample, scores = self._samples[place], self._scores[place][:, k]
             change = (sample.labels @ scores) / (sample.labels @ sample.units[:, k])
             single[place, k] = worse(place, k, change, sample.degrees)

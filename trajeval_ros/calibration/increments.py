@@ -78,7 +78,7 @@ class PoseInterpolator:
 
 
 def nearest_rows(stamps: Stamps, targets: Stamps) -> NDArray[np.int64]:
-    """Return the row of the stamp nearest to every wanted one (N,); the stamps are sorted."""
+    """Return the row of the stamp nearest to every requested one (N,); the stamps are sorted."""
     after = np.minimum(np.searchsorted(stamps, targets), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(

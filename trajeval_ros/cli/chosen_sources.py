@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def recording_of(by_position: Sequence[str], *named: object) -> str:
     """Return the only source of a command if it is a bag, a log or a folder; "" otherwise.
 
-    A missing or damaged file with the ending of a bag or log is one, so reading it tells why.
+    A missing or damaged file with the ending of a bag or log is one, so its reader states why.
     """
     if len(by_position) != 1 or any(named):
         return ""

@@ -170,15 +170,15 @@ def compare(
     # The baseline may be the table in the output folder, so it is read before anything is written.
     gates = _gates_of(baseline, fail_if, undecided, false_alarms, chosen.settings, paired=paired)
 
-    def tell_of_waiting(held: str) -> None:
+    def report_waiting(held: str) -> None:
         print(f"waiting: {held}", file=sys.stderr, flush=True)
 
-    with only_writer(output, tell_of_waiting if wait else None):
+    with only_writer(output, report_waiting if wait else None):
         if isinstance(chosen, FinishedResults):
             progress = chosen.write_tables(output)
         else:
-            with progress_of_runs() as tell:
-                progress = run_plan(chosen, output, start_pool, tell)
+            with progress_of_runs() as report:
+                progress = run_plan(chosen, output, start_pool, report)
         summary = summary_of(output)
         write_tables(output, summary, transpose=transpose)
         if not is_drawn(output, choice):

@@ -218,11 +218,11 @@ def _tell(shown: Path, picture: Path, why_none: str) -> None:
 
 def _command() -> str:
     """Return the command that runs `trajeval` from here."""
-    beside = Path(sys.executable).with_name("trajeval")
-    if not beside.exists():
+    program = Path(sys.executable).with_name("trajeval")
+    if not program.exists():
         return f"{_quoted(Path(sys.executable))} -m trajeval_ros"
     known = shutil.which("trajeval")
-    return "trajeval" if known and Path(known) == beside else _quoted(beside)
+    return "trajeval" if known and Path(known) == program else _quoted(program)
 
 
 def _near(path: Path) -> str:

@@ -52,10 +52,10 @@ def _write(
     is_own = _is_own(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     # An existing folder may be a mount point, and the only writable place.
-    beside = folder if folder.is_dir() else folder.parent
+    parent = folder if folder.is_dir() else folder.parent
     # A first run that was killed has left temporary files next to the folder.
     collect_leftovers(folder.parent)
-    with temporary_folder(folder.name, beside) as temporary, ThreadPoolExecutor(1) as thread:
+    with temporary_folder(folder.name, parent) as temporary, ThreadPoolExecutor(1) as thread:
         # For long runs, the arrays take as long as the figures.
         writing = [
             thread.submit(write, temporary / name) for name, write in error_files(outcome).items()

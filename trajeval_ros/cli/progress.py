@@ -89,7 +89,7 @@ def progress_of_runs() -> Iterator[Callable[[RunProgress], None]]:
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         line = bar.add_task("runs", total=None, failed="", running="reading inputs")
 
-        def tell(progress: RunProgress) -> None:
+        def report(progress: RunProgress) -> None:
             bar.update(
                 line,
                 total=progress.total or None,
@@ -98,4 +98,4 @@ def progress_of_runs() -> Iterator[Callable[[RunProgress], None]]:
                 running=escape(visible(", ".join(progress.running))),
             )
 
-        yield tell
+        yield report

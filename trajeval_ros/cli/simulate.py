@@ -196,8 +196,8 @@ def _write_runs(
             advance(number, runs)
     how = "solved" if flight.is_solved else "sampled from the estimator's own distribution"
     covariance = f" --covariance {shlex.quote(str(_covariance_of(bags[0])))}"
-    beside = f", {how}, with the joint covariance in {_covariance_of(bags[0]).name}"
-    _say(bags, flight.groundtruth, estimate, beside, covariance)
+    details = f", {how}, with the joint covariance in {_covariance_of(bags[0]).name}"
+    _say(bags, flight.groundtruth, estimate, details, covariance)
 
 
 def _covariance_of(bag: Path) -> Path:

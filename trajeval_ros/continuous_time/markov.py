@@ -243,7 +243,7 @@ class Interpolator:
 
     process: Process  # the process at its mode
     marginals: Floats  # (N, d m, d m), covariances of the knots
-    beside: Floats  # (N - 1, d m, d m), covariances between consecutive knots
+    between: Floats  # (N - 1, d m, d m), covariances between consecutive knots
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
         """Return states (Q, ...) and right covariances (Q, d, d) at times within the knots."""
@@ -272,7 +272,7 @@ class Interpolator:
         shape = (-1, dimension, dimension * order)
         a = np.einsum("qm,qmijk->qijk", by_first, first.jacobian).reshape(shape)
         b = np.einsum("qm,qmijk->qijk", by_second, ahead).reshape(shape)
-        mixed = a @ self.beside[knot] @ se3.transposed(b)
+        mixed = a @ self.between[knot] @ se3.transposed(b)
         covariance = se3.congruent(a, self.marginals[knot]) + se3.congruent(
             b, self.marginals[knot + 1]
         )

@@ -90,7 +90,7 @@ class Factor:
         The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states.
         """
         count, size = self.scale.shape
-        blocks, beside = np.empty((2, count, size, size))
+        blocks, off_diagonal = np.empty((2, count, size, size))
         after = np.zeros((size, size))
         few = max(1, AT_ONCE * 256 // size**2)
         for start in reversed(range(0, count, few)):
@@ -101,11 +101,11 @@ class Factor:
             for k in reversed(range(len(inverse))):
                 across = gain[k].T @ after
                 inverse[k] += across @ gain[k]
-                after, beside[start + k] = inverse[k], -across
+                after, off_diagonal[start + k] = inverse[k], -across
             blocks[rows] = inverse * self.scale[rows, :, None] * self.scale[rows, None, :]
-        beside[:-1] *= self.scale[:-1, :, None]
-        beside[:-1] *= self.scale[1:, None, :]
-        return blocks, beside[:-1]
+        off_diagonal[:-1] *= self.scale[:-1, :, None]
+        off_diagonal[:-1] *= self.scale[1:, None, :]
+        return blocks, off_diagonal[:-1]
 
 
 def add_blocks(band: Floats, diagonal: Floats, lower: Floats | None = None) -> None:
@@ -172,13 +172,13 @@ class BandedGaussian:
 
         A block can extend over two blocks of the factor.
         """
-        diagonal, beside = self._factor.inverse_blocks()
+        diagonal, off_diagonal = self._factor.inverse_blocks()
         blocks, length = np.empty((len(starts), size, size)), diagonal.shape[1]
         for block, start in zip(blocks, starts.tolist(), strict=True):
             first, at = divmod(start, length)
             joint = diagonal[first]
             if at + size > length:
-                across = beside[first]
+                across = off_diagonal[first]
                 joint = np.block([[joint, across], [across.T, diagonal[first + 1]]])
             block[:] = joint[at : at + size, at : at + size]
         return blocks

@@ -38,7 +38,7 @@ class ReceiveTimes:
 
     @classmethod
     def of_bag(cls, logged: Stamps, published: Stamps, clock: str = "") -> ReceiveTimes:
-        """Return the publish times where they differ from the log times, or the wanted ones.
+        """Return the publish times where they differ from the log times, or the requested ones.
 
         A recorder that is late delays its log times only. `logged`, `published`: (N,),
         nanoseconds. `clock`: `LOG`, `PUBLISH`, or empty for the default.

@@ -41,7 +41,7 @@ _SYSTEMS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("VINS-Fusion", ".*odometry", ("world", "world"), _VIO, "the twist is in the world"),
         ("FAST-LIO", "Odometry", ("camera_init", "body"), "lidar-inertial",
             "covariances have the rotation first"),
-        # With or without an IMU: the other topics tell it.
+        # With or without an IMU: the other topics show it.
         ("LOAM", ".*", ("camera_init", "aft_mapped"), "",
             "the frame is of the first scan, not of a camera"),
         ("KISS-ICP", "kiss/odometry", ("odom_lidar", None), "lidar",

@@ -46,7 +46,7 @@ class LikelyEvaluation:
 
     groundtruth: str  # SOURCE; "" if no topic is likely
     estimates: tuple[str, ...]  # SOURCEs
-    modality: str  # "" if nothing tells the sensors
+    modality: str  # "" if nothing shows the sensors
     reasons: tuple[str, ...] = ()  # a sentence for each choice
     options: str = ""  # further options for the estimator
 
@@ -78,7 +78,7 @@ def likely_evaluations(
     likely: list[TrajectorySummary | None] = [
         summary for summary in references if _rank(summary) == best
     ]
-    # No name tells the groundtruth: no topic has a word for it, or both have.
+    # No name shows the groundtruth: no topic has a word for it, or both have.
     if not (references and estimates) and len(usable) == 2 and best != _FIXES:
         first, second = usable
         return [
@@ -218,7 +218,7 @@ def _evaluation(
 
 
 def _sensors(estimate: TrajectorySummary, description: Description) -> tuple[str, str]:
-    """Return the modality of an estimate and what tells it; two empty texts if nothing does."""
+    """Return the modality of an estimate and the evidence; two empty texts without any."""
     topic = estimate.topic
     if estimate.system is not None and estimate.system.modality:
         return estimate.system.modality, f"{topic} looks like {estimate.system.name}"

@@ -179,7 +179,7 @@ class ActiveAlarms:
 
     def renew(self, remarks: Iterable[Remark]) -> list[Remark]:
         """Take all active remarks; returns new ones, and ended ones as notes."""
-        before, reported = self._shown, list(self._told(remarks))
+        before, reported = self._shown, list(self._with_times(remarks))
         self._shown = {_key(item[0]): item for item in reported if item[0].level != Level.NOTE}
         started = [
             remark
@@ -193,11 +193,11 @@ class ActiveAlarms:
         ]
         return started + ended
 
-    def as_told(self, remarks: Iterable[Remark]) -> list[Remark]:
+    def kept_texts(self, remarks: Iterable[Remark]) -> list[Remark]:
         """Return remarks; if only numbers of a text change, it is kept for 10 s."""
-        return [remark for remark, _ in self._told(remarks)]
+        return [remark for remark, _ in self._with_times(remarks)]
 
-    def _told(self, remarks: Iterable[Remark]) -> Iterator[tuple[Remark, float]]:
+    def _with_times(self, remarks: Iterable[Remark]) -> Iterator[tuple[Remark, float]]:
         now_s = self._clock()
         for remark in remarks:
             shown, since_s = self._shown.get(_key(remark), (remark, now_s))

@@ -45,7 +45,7 @@ class OnlineSettings:
     integrity: IntegrityRequest | None  # alert limits and risk for protection levels
     # Up axes of groundtruth and estimate; None for those that the frames' names imply, or z.
     up: tuple[str, str] | None
-    available: AvailabilityRule  # as-available accuracy to compute, if it is asked for
+    available: AvailabilityRule  # as-available accuracy to compute, if it is requested
 
     def __init__(
         self,

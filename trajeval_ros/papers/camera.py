@@ -48,7 +48,7 @@ class Camera:
         plane = (pixels[..., :2] - self.centre) / self.focal_px
         return np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
 
-    def sees(self, points: Floats) -> Booleans:
+    def in_view(self, points: Floats) -> Booleans:
         """Whether points in the camera's frame (..., 3) are in range and in the image."""
         depth = points[..., 2]
         in_range = (depth > self.nearest_m) & (depth < self.farthest_m)

@@ -96,12 +96,12 @@ def accuracy_table(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> Tab
         for place, handling in enumerate(GaugeHandling):
             result = trials[handling]
             rmse = [f"{getattr(result, metric).mean():.5f}" for metric in METRICS]
-            beside = [
+            numbers = [
                 paper.get(handling, ""),
                 f"{result.iterations.mean():.2f}",
                 f"{1e3 * result.seconds_per_iteration:.2f}",
             ]
-            table.add(["" if place else name, handling.value, *rmse, *beside])
+            table.add(["" if place else name, handling.value, *rmse, *numbers])
         table.add_section()
     return table
 

@@ -29,8 +29,8 @@ class MotionMatrix:
 
     Its blocks are written through views. This works for both kinds of storage, since element
     (i, j) is at place `begin + i + step * j` in memory: a dense matrix is stored by columns, and
-    row j of a banded one has the elements beside the diagonal of column j. Only the lower triangle
-    is read.
+    row j of a banded one has the elements below the diagonal of column j. Only the lower
+    triangle is read.
     """
 
     def __init__(self, visibility: Visibility, width: int) -> None:

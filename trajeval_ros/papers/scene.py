@@ -90,7 +90,7 @@ def _sightings(
     first = np.clip(origin - track, 0, keyframes - span)
     near = first[:, None] + np.arange(span)
     in_camera = _in_camera(points[:, None], positions[near], cameras[near])
-    return camera.sees(in_camera) & (np.abs(near - origin[:, None]) <= track), near
+    return camera.in_view(in_camera) & (np.abs(near - origin[:, None]) <= track), near
 
 
 def _in_camera(points: Floats, positions: Floats, cameras: Floats) -> Floats:

@@ -56,7 +56,7 @@ class Request:
         correct: Cause to correct if the diagnosis finds it, `suggested` for the most severe
             finding; "" for no correction.
         integrity: Alert limits and risk for protection levels; None for none.
-        available: The as-available accuracy to compute, if it is asked for.
+        available: The as-available accuracy to compute, if it is requested.
         discontinuities: What to do at restarts, outliers and clock steps.
         watch_factor: Factor of a watchdog whose errors count as alerts; None for none.
 

@@ -146,8 +146,8 @@ def _draw_boxes(
     for group, box in boxes:
         if box is not None and box.points:
             # Next to one another, so that equal trials are visible.
-            beside = np.linspace(-0.2, 0.2, len(box.points)) if len(box.points) > 1 else 0.0
-            x = group + shift + width * np.broadcast_to(beside, len(box.points))
+            spread = np.linspace(-0.2, 0.2, len(box.points)) if len(box.points) > 1 else 0.0
+            x = group + shift + width * np.broadcast_to(spread, len(box.points))
             size = 2.5 if len(box.points) > 1 else 4.0
             axes.plot(x, box.points, "o", color=colour, markersize=size, linestyle="none")
 

@@ -70,11 +70,11 @@ def simplified_rows(line: Floats, tolerance: float) -> NDArray[np.intp]:
         along = line[kept[1:]] - starts
         segment = np.repeat(np.arange(len(lengths)), lengths)
         rows = np.arange(kept[0], kept[-1])
-        beside = line[rows] - starts[segment]
-        share = (beside * along[segment]).sum(axis=1)
+        offsets = line[rows] - starts[segment]
+        share = (offsets * along[segment]).sum(axis=1)
         share /= np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)[segment]
-        beside -= np.clip(share, 0.0, 1.0)[:, None] * along[segment]
-        distance = np.hypot(*beside.T)
+        offsets -= np.clip(share, 0.0, 1.0)[:, None] * along[segment]
+        distance = np.hypot(*offsets.T)
         farthest = np.maximum.reduceat(distance, kept[:-1] - kept[0])
         is_farthest = (distance == farthest[segment]) & (distance > tolerance)
         _, first = np.unique(segment[is_farthest], return_index=True)

@@ -58,7 +58,7 @@ class Cell:
 
     @property
     def compared(self) -> float | None:
-        """The number as printed: a difference that nobody sees makes no rank."""
+        """The number as printed: ranks use the printed digits."""
         known = self.value is not None and math.isfinite(self.value)
         return float(self.text) if known else self.value
 

@@ -65,7 +65,7 @@ class Status(NamedTuple):
         undrawn: int,
     ) -> Status:
         """Return the present status; numbers in its text change every 10 s at most."""
-        reported = most_severe_first(estimate.standing.as_told(remarks))
+        reported = most_severe_first(estimate.standing.kept_texts(remarks))
         values = _values(run, estimate, snapshot)
         values |= {
             f"{words}, largest since the last status [{unit}]": peaks[name].value

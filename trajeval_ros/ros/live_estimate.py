@@ -75,7 +75,7 @@ class LiveEstimate:
         self.evaluator = OnlineEvaluator(settings)
         self.discontinuities = LiveDiscontinuities()
         # The newest receive time by side, also when a step of a clock was first noticed.
-        self._heard: dict[str, int] = {}
+        self._newest_received: dict[str, int] = {}
         self._suspected: Event | None = None
         self._suspected_at: dict[str, int] = {}
         self._begin_ns = NEVER  # earlier states belong to the previous run
@@ -177,7 +177,9 @@ class LiveEstimate:
     def _search(self, side: str, states: StampedPoses, arrived: Stamps | None) -> None:
         """Search states (N,) of this run for discontinuities."""
         if arrived is not None and len(arrived):
-            self._heard[side] = max(self._heard.get(side, NEVER), int(arrived.max()))
+            self._newest_received[side] = max(
+                self._newest_received.get(side, NEVER), int(arrived.max())
+            )
         if self._begin_ns > NEVER:
             rows = states.stamps >= self._begin_ns
             states = StampedPoses(states.stamps[rows], states.poses[rows])
@@ -240,7 +242,7 @@ class LiveEstimate:
         else:
             self._news += events
         if self.suspected_step is not self._suspected:
-            self._suspected, self._suspected_at = self.suspected_step, dict(self._heard)
+            self._suspected, self._suspected_at = self.suspected_step, dict(self._newest_received)
         self._restarts += [
             event.end_ns
             for event in events
@@ -260,7 +262,8 @@ class LiveEstimate:
         """
         step = self.suspected_step
         waits = step is not self.stepped and any(
-            self._heard[side] < heard + _FOLLOWS_NS for side, heard in self._suspected_at.items()
+            self._newest_received[side] < received + _FOLLOWS_NS
+            for side, received in self._suspected_at.items()
         )
         return None if waits else step
 

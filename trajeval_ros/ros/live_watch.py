@@ -68,7 +68,7 @@ class LiveWatch:
         self._latest: dict[str, tuple[int, float]] = {}  # second and largest value by signal
         self._refused = ""
         self._unseen: list[str] = []
-        self._told: list[str] = []
+        self._reported: list[str] = []
 
     def look(self, messages: WatchedMessages) -> WatchReport:
         """Process the messages, in a time proportional to their number."""
@@ -144,8 +144,8 @@ class LiveWatch:
 
     def _news(self) -> list[str]:
         notices = [*self.watchdog.notices, *self._unseen]
-        news = [item for item in notices if item not in self._told]
-        self._told += news
+        news = [item for item in notices if item not in self._reported]
+        self._reported += news
         return news
 
     def _about_state(self) -> Iterator[Remark]:
@@ -188,7 +188,7 @@ class LiveWatch:
             "judged [s]": None if armed_s is None else self.watchdog.last_s - armed_s,
             "states out of order": self.watchdog.out_of_order or None,
             "restarts": self.watchdog.restarts or None,
-            "sources": "; ".join(self._told) or None,
+            "sources": "; ".join(self._reported) or None,
         }
         for name, (_, value) in self._latest.items():
             values[f"{name}, share of its limit"] = value / self.book.limit(name)

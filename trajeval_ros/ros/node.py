@@ -283,9 +283,9 @@ class EvaluatorNode:
         }
         with suppress(InputError):  # the file of states reports a disk that can't be written
             write_metrics(run.folder, metrics)
-        self._results.tell(self._values["autosave_period"])
+        self._results.report(self._values["autosave_period"])
 
-    def tell(self) -> None:
+    def publish_status(self) -> None:
         """Publish diagnostics, and update the status line."""
         run = self._runs.current
         undrawn = self._picture.dropped
@@ -332,7 +332,7 @@ class EvaluatorNode:
         if run.idle == _STOPPED:
             return self._reset(request, response)
         run.idle = ""
-        return self._tell_run(response, f"the run in {run.folder} continues")
+        return self._answer(response, f"the run in {run.folder} continues")
 
     def _pause(self, request: Any, response: Any) -> Any:
         """Handle ~/pause: drop messages until ~/start."""
@@ -341,7 +341,7 @@ class EvaluatorNode:
         if run.idle:
             return _answered(response, f"no active run: {run.idle}")
         run.idle = _PAUSED
-        return self._tell_run(response, f"the run in {run.folder} is paused")
+        return self._answer(response, f"the run in {run.folder} is paused")
 
     async def _stop(self, request: Any, response: Any) -> Any:
         """Handle ~/stop: end this run; respond when result.json is written."""
@@ -352,10 +352,10 @@ class EvaluatorNode:
             self._runs.conclude(self._time_at)
             run = self._runs.current  # another one if a restart was among the last messages
         run.idle = _STOPPED
-        self._tell_run(response, f"the run in {run.folder} has ended")
+        self._answer(response, f"the run in {run.folder} has ended")
         return await self._save(request, response)
 
-    def _tell_run(self, response: Any, text: str) -> Any:
+    def _answer(self, response: Any, text: str) -> Any:
         self._log(text)
         self._events.publish("run", Remark(Level.NOTE, "run", text))
         return _answered(response, text, success=True)

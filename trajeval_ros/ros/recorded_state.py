@@ -30,7 +30,7 @@ def write_states(run: LiveRun) -> None:
     """
     run.states_file.write()
     for estimate in run.estimates:
-        estimate.states_file.tell(_recorded_state(run, estimate))
+        estimate.states_file.describe(_recorded_state(run, estimate))
 
 
 def save(run: LiveRun) -> None:

@@ -31,7 +31,7 @@ class ResultWriting:
         self._past: list[Finisher] = []  # finishers of previous runs
         self.has_finished = False  # whether a previous run had pairs
 
-    def tell(self, period_s: float) -> None:
+    def report(self, period_s: float) -> None:
         """Report written results, and start to write again after a period, seconds."""
         finisher = self._current().finisher
         if finisher.poll():

@@ -75,7 +75,7 @@ def evaluate_live(arguments: Sequence[str]) -> int:
         duties = [
             PeriodicTask(work.tick, lambda: work.tick_period_s),
             PeriodicTask(work.report, lambda: _REPORT_EVERY_S, _REPORTS_SHARE),
-            PeriodicTask(work.tell, lambda: _REPORT_EVERY_S),
+            PeriodicTask(work.publish_status, lambda: _REPORT_EVERY_S),
             PeriodicTask(work.save, lambda: _SAVE_EVERY_S),
             PeriodicTask(lambda: executor.spin_once(timeout_sec=0.0), lambda: _SERVE_EVERY_S),
         ]

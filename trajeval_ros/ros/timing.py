@@ -205,7 +205,7 @@ class ClockSamples:
         usual = np.flatnonzero(forward)[-_USUAL_SAMPLES:]
         if not len(usual):
             return np.full(len(received), UNKNOWN)
-        # Samples may arrive together: the newest interval alone does not tell the usual one.
+        # Samples may arrive together: the newest interval alone is not the usual one.
         lasts = np.where(forward, np.append(intervals, 0), intervals[usual].max())
         most = np.where(forward, np.append(steps, 0), steps[usual].max())
         rate = steps[usual].sum() / max(int(intervals[usual].sum()), 1)

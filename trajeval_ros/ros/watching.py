@@ -46,7 +46,7 @@ class WatchNode:
         """Match publishers."""
         self._watching.match()
 
-    def tell(self) -> None:
+    def publish_status(self) -> None:
         """Publish diagnostics."""
         self._diagnostics.publish(self._watching.statuses())
 
@@ -215,7 +215,7 @@ class EstimateWatch:
     def status(self) -> Any:
         """Return the status, as `diagnostic_msgs/DiagnosticStatus`."""
         present = [*self._about_silence(), *self._report.remarks]
-        remarks = most_severe_first(self.standing.as_told(present))
+        remarks = most_severe_first(self.standing.kept_texts(present))
         return status_message(
             self._node,
             remarks[0].level if remarks else Level.NOTE,

@@ -178,7 +178,7 @@ def _odometry(generator: np.random.Generator, flight: _Flight, duration_s: float
     frame = _yaw_rotations(np.array(generator.uniform(-np.pi, np.pi)))
     delay = np.minimum(generator.exponential(_STAMP_DELAY_S, len(times)), _LONGEST_STAMP_DELAY_S)
     gap_start_s = generator.uniform(0.4, 0.6) * duration_s - _GAP_S / 2.0
-    heard = (times < gap_start_s) | (times >= gap_start_s + _GAP_S)
+    tracked = (times < gap_start_s) | (times >= gap_start_s + _GAP_S)
     return Trajectory(
         stamps=_stamps(times + delay),
         positions=frame.apply(positions),
@@ -187,7 +187,7 @@ def _odometry(generator: np.random.Generator, flight: _Flight, duration_s: float
         frame="odom",
         child_frame="base_link",
         name="odometry",
-    )[heard]
+    )[tracked]
 
 
 def _yaw_rotations(angle: Floats) -> Rotation:

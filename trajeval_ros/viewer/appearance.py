@@ -58,9 +58,9 @@ def declare_legend(recording: Any, estimates: Sequence[EstimateEntities]) -> Non
         ("groundtruth", colours.GROUNDTRUTH),
         *((estimate.name, estimate.colour) for estimate in estimates),
     ]
-    beside = -(-len(shown) // rows_of(len(estimates)))
-    room = (WIDTH - _NAMES_BEGIN) / beside
-    row, column = np.divmod(np.arange(len(shown)), beside)
+    columns = -(-len(shown) // rows_of(len(estimates)))
+    room = (WIDTH - _NAMES_BEGIN) / columns
+    row, column = np.divmod(np.arange(len(shown)), columns)
     places = np.stack([_NAMES_BEGIN + (column + 0.5) * room, _LINE + ROW * row], axis=1)
     letters = int(room / _LETTER)
     half = np.array([0.5 * _SWATCH * room, 0.0])

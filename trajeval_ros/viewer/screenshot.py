@@ -32,8 +32,12 @@ _NO_DRIVER = (
 )
 
 
-def save_png(file: Path, png: Path) -> None:
-    """Write a screenshot of the viewer that has just opened a file (.rrd), without its menu."""
+def save_png(file: Path, png: Path, patience_s: float = _PATIENCE_S) -> None:
+    """Write a screenshot of the viewer that has just opened a file (.rrd), without its menu.
+
+    Raises:
+        InputError: The viewer did not draw it within `patience_s`, or can't be started.
+    """
     sdk()
     require_recording(file)
     from PIL import Image
@@ -41,7 +45,7 @@ def save_png(file: Path, png: Path) -> None:
     with temporary_folder("screenshot") as folder:
         taken = folder / "screenshot.png"
         # `--screenshot-to` takes its picture before the file is loaded.
-        with headless_viewer(file) as url:
+        with headless_viewer(file, patience_s) as url:
             ask_for_screenshot(url, taken)
         with Image.open(taken) as whole:
             shown = without_menu(whole)

@@ -82,8 +82,8 @@ class DrawingThread:
         self._closing = threading.Event()
         self._after = after
         self._recording: Any = None
-        self._told_dropped = 0
-        self._tell_at = 0.0
+        self._reported_dropped = 0
+        self._report_at = 0.0
         self._thread = threading.Thread(target=self._work, name=f"rerun {sink.name}", daemon=True)
         self._thread.start()
 
@@ -124,13 +124,13 @@ class DrawingThread:
                 self._guarded(self._tend)
                 check_at = time.monotonic() + self._sink.check_every_s
             while self._jobs and time.monotonic() < check_at:
-                if self._recording is None:  # nothing to draw on, and nobody to tell
+                if self._recording is None:  # nothing to draw on
                     self.dropped += 1
-                    self._told_dropped += 1
+                    self._reported_dropped += 1
                 self._guarded(self._jobs.popleft())
-            if time.monotonic() >= self._tell_at:
-                self._guarded(self._tell_dropped)
-        self._guarded(self._tell_dropped)
+            if time.monotonic() >= self._report_at:
+                self._guarded(self._report_dropped)
+        self._guarded(self._report_dropped)
         if self._recording is not None:
             self._guarded(self._drawing.finish)
             self._guarded(lambda: self._sink.close(self._recording))
@@ -146,11 +146,11 @@ class DrawingThread:
             self._forget()
         self.absence = self._sink.absence if self._recording is None else ""
 
-    def _tell_dropped(self) -> None:
+    def _report_dropped(self) -> None:
         """Show how much was dropped, if that has changed."""
-        if self._recording is not None and self.dropped > self._told_dropped:
-            self._told_dropped = self.dropped
-            self._tell_at = time.monotonic() + _TELL_DROPS_EVERY_S
+        if self._recording is not None and self.dropped > self._reported_dropped:
+            self._reported_dropped = self.dropped
+            self._report_at = time.monotonic() + _TELL_DROPS_EVERY_S
             self._drawing.dropped(self.dropped)
 
     def _guarded(self, action: Job) -> None:

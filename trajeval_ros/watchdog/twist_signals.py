@@ -30,7 +30,7 @@ _LEAST_LAG_S = 0.03
 _TOLD_LAG_S = 0.05
 # Minimum ratio of residuals in body and world axes for a twist in world axes.
 _CLEARLY = 3.0
-# A factor of the twist that is told: noise of the poses adds to their motion.
+# A factor of the twist that is stated: noise of the poses adds to their motion.
 _LEAST_LOG_FACTOR = np.log(1.5)
 _KMH, _NEAR_KMH = 3.6, 0.05
 _INTEGRAL = slice(STATE_WIDTH, STATE_WIDTH + 3)
@@ -140,8 +140,8 @@ def _lag_of(states: Floats) -> tuple[float, float]:
     times, moved = states[:, TIME], states[ends, POSITION] - states[begins, POSITION]
     costs = []
     for lag_s in _LAGS_S:
-        told = columns_at(times, states[:, VELOCITY], times + lag_s)
-        path = _path(times, lie.rotate(states[:, QUATERNION], told))
+        twists = columns_at(times, states[:, VELOCITY], times + lag_s)
+        path = _path(times, lie.rotate(states[:, QUATERNION], twists))
         off = lengths(moved - (path[ends] - path[begins]))
         costs.append([part.mean() for part in np.array_split(off, _BLOCKS)])
     cost = np.array(costs)
@@ -168,6 +168,6 @@ def _misfit(states: Floats, velocities: Floats, lag_s: float) -> float:
     whole = states[1:, SINCE] <= states[:-1, TIME]
     velocity = np.diff(states[:, POSITION], axis=0)[whole] / dt[whole, None]
     middle = 0.5 * (states[1:, TIME] + states[:-1, TIME])[whole]
-    told = columns_at(states[:, TIME], velocities, middle + lag_s)
-    in_world = lie.rotate(states[:-1, QUATERNION][whole], told)
+    twists = columns_at(states[:, TIME], velocities, middle + lag_s)
+    in_world = lie.rotate(states[:-1, QUATERNION][whole], twists)
     return float(np.median(lengths(velocity - in_world)))

@@ -57,7 +57,7 @@ def test_tables_of_all_kinds_are_read_as_written(
     assert (result.torn, result.description) == (0, {"format": "tables/1"})
     assert [len(rows) for rows in result.rows] == [rows for _, rows in chunks if rows]
     texts = [place for place, (is_one, _) in enumerate(chunks) if is_one]
-    assert result.told == sum(rows > 0 for _, rows in chunks[: texts[-1] if texts else 0])
+    assert result.described == sum(rows > 0 for _, rows in chunks[: texts[-1] if texts else 0])
     with pytest.raises(InputError, match="tables has schema tables/1"):
         read_chunks(path, KINDS, "tables/2", "table")
 

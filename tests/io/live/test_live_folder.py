@@ -227,7 +227,7 @@ def test_rows_that_are_no_states_are_counted(tmp_path: Path) -> None:
     ):
         writer = StateWriter(tmp_path / name, description)
         writer.append(Trajectory(stamps, rows[:, :3], lie.normalized(rows[:, 3:7])))
-        writer.tell(STATE)
+        writer.describe(STATE)
         writer.close()
     result = evaluate_folder(tmp_path).runs[0].evaluation
     assert len(result.association) == COUNT - 2
@@ -264,7 +264,7 @@ def test_poses_of_an_unknown_reception_are_not_available(tmp_path: Path, unknown
     arrived[:unknown] = UNKNOWN
     writer = StateWriter(tmp_path / "vio.states", DESCRIPTION)
     writer.append(trajectory(stamps, estimate, arrived=arrived))
-    writer.tell(STATE)
+    writer.describe(STATE)
     writer.close()
     request = Request(available=AvailabilityRule("hold"))
     [result] = evaluate_folder(tmp_path, request).runs

@@ -46,7 +46,7 @@ def write(path: Path, counts: list[int], seed: int = 0) -> list[Trajectory]:
     for place, item in enumerate(chunks):
         writer.append(item)
         if place % 2:
-            writer.tell({"number": place})
+            writer.describe({"number": place})
     writer.close()
     return chunks
 

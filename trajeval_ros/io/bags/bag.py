@@ -136,8 +136,8 @@ class Bag:
     ) -> Iterator[tuple[Topic, int, bytes]]:
         """Yield topic, log time in ns and payload of the messages, in order of their log times.
 
-        `begin`: the first log time wanted, ns. `end`: the first log time that isn't wanted any
-        more, ns.
+        `begin`: the first requested log time, ns. `end`: the first log time after the requested
+        ones, ns.
         """
         done = 0
         selections: list[TopicSelection] = []

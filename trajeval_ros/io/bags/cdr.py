@@ -89,7 +89,7 @@ class CdrPlan:
 def plan_with(
     fields: Fields | None, standard: str, requested: Collection[str], *, is_ros1: bool
 ) -> CdrPlan:
-    """Return how a type is decoded, by its own definition if that has the wanted fields.
+    """Return how a type is decoded, by its own definition if that has the required fields.
 
     `fields`: of the type, as a bag defines it. `standard`: name of the type in `STANDARD`.
     """

@@ -168,7 +168,7 @@ def _smallest(step: Step) -> int:
 
 
 def _finished(run: _Leaves | None, requested: frozenset[str] | None) -> list[Step]:
-    """Return a run as a step, with its wanted columns."""
+    """Return a run as a step, with its required columns."""
     if run is None:
         return []
     names = [leaf.path for leaf in run.leaves] if requested is None else requested

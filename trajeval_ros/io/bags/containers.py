@@ -44,7 +44,7 @@ class Container(Protocol):
 
         After the last block, every selection lists the damage of what was read for it. Damage of a
         piece that may have messages of several selections is listed by all of them. `begin`: the
-        first log time wanted, ns. `end`: the first log time after the requested ones, ns.
+        first requested log time, ns. `end`: the first log time after the requested ones, ns.
         `in_order`: whether blocks must be in order of their earliest log times.
         """
 
@@ -63,7 +63,7 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
         source.close()
         plain = decompress_file(path, folder)
         source = LocalFile(plain)
-        source.name = str(path)  # the user knows nothing of a copy
+        source.name = str(path)  # not of the copy, which the user has not named
         beginning = source.read(0, _HEAD)
     if beginning.startswith(MAGIC):
         from trajeval_ros.io.bags.mcap_bag import McapReader

@@ -155,7 +155,7 @@ class McapReader:
         return map(load, pieces)
 
     def _load(self, requested: Collection[int], piece: Piece) -> ChunkMessages:
-        """Return the wanted messages of a chunk, or messages outside of chunks."""
+        """Return the requested messages of a chunk, or messages outside of chunks."""
         _, place = piece
         if isinstance(place, Chunk):
             channels = self._unverified

@@ -1,4 +1,4 @@
-"""Wanted messages of a chunk of MCAP.
+"""Requested messages of a chunk of MCAP.
 
 Of an uncompressed chunk, only the byte ranges that its message indexes list are read if they are
 at most half of it. Every other chunk is read whole and verified.
@@ -47,7 +47,7 @@ _WORTHWHILE = 0.5  # of a chunk; above, the whole chunk is read and verified
 
 @dataclass(frozen=True)
 class ChunkMessages:
-    """The wanted messages of a piece of a file."""
+    """The requested messages of a piece of a file."""
 
     block: Block | None  # the readable messages; None if there is none
     damage: str = ""  # what can't be read; "" if all can
@@ -62,7 +62,7 @@ def read_chunk(
     *,
     strict: bool,
 ) -> ChunkMessages:
-    """Return the messages of the wanted channels, all read at once.
+    """Return the messages of the requested channels, all read at once.
 
     `channels`: those of the summary that no chunk has confirmed yet; this chunk's are removed.
     """
@@ -198,7 +198,7 @@ def _runs_of(chunk: Chunk, messages: MessageIndex) -> list[tuple[int, int]] | No
 def _partial(
     source: ByteSource, chunk: Chunk, messages: MessageIndex, runs: list[tuple[int, int]]
 ) -> Block:
-    """Return wanted messages of an uncompressed chunk without reading all of it."""
+    """Return requested messages of an uncompressed chunk without reading all of it."""
     base = chunk.data_offset
     pieces = source.read_all([(base + begin, end - begin) for begin, end in runs])
     begins, sizes, total = [], [], 0

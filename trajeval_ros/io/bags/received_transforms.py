@@ -1,4 +1,4 @@
-"""The pose between two frames as a receiver knows it.
+"""The pose between two frames as a receiver has it.
 
 Every transform holds from its receive time on. Corrections such as map to odom may be dated into
 the future or the past, and seldom come; a receiver uses the newest one that it has, whatever its

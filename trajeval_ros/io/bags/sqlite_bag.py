@@ -1,4 +1,4 @@
-"""Files of rosbag2 in sqlite3, read by the rows of the wanted topics.
+"""Files of rosbag2 in sqlite3, read by the rows of the requested topics.
 
 A file is untrusted: its schema can contain SQL. Views, virtual tables and computed columns are
 refused, so that no SQL of the file is executed. Pages can be linked several times, which repeats

@@ -287,7 +287,7 @@ def trajectory_of_columns(
             name=name.strip("/"),
         )
     resets = declared_resets(columns)
-    told = about_resets(resets, int(columns.stamps.min()))
+    reset_remarks = about_resets(resets, int(columns.stamps.min()))
     frames = (note("frame_changed", change) for change in changes)
     everything = Trajectory.from_columns(
         columns.stamps,
@@ -302,7 +302,7 @@ def trajectory_of_columns(
         reading=SourceInfo(
             has_identity_rotations=columns.quaternions is not None and quaternions is None,
             dropped=dropped,
-            remarks=(*remarks, *told, *frames, *judgement),
+            remarks=(*remarks, *reset_remarks, *frames, *judgement),
             resets=resets,
             receive_times=columns.receive_times,
             as_received=None if columns.as_received is None else _as_received(columns.as_received),

@@ -101,7 +101,7 @@ class Chunks:
     description: dict[str, Any]  # the first text; empty if there is none
     newest: dict[str, Any]  # the newest text after it; empty if there is none
     rows: list[NDArray[Any]]  # of all chunks with rows
-    told: int  # number of items of `rows` before the newest text
+    described: int  # number of items of `rows` before the newest text
     torn: int  # number of bytes after the last valid chunk
     path: Path
 
@@ -125,14 +125,14 @@ def read_chunks(path: Path, kinds: Kinds, schema: str, what: str) -> Chunks:
         raise InputError(f"{path} can't be read: it is not a regular file")
     texts: list[dict[str, Any]] = []
     rows: list[NDArray[Any]] = []
-    told = 0
+    described = 0
     try:
         with path.open("rb") as file:
             size, place = os.fstat(file.fileno()).st_size, 0
             while (chunk := _next_chunk(file, size - place, kinds)) is not None:
                 text, table = chunk
                 if text:
-                    texts, told = [*texts[:1], text], len(rows)
+                    texts, described = [*texts[:1], text], len(rows)
                 if len(table):
                     rows.append(table)
                 place = file.tell()
@@ -141,7 +141,7 @@ def read_chunks(path: Path, kinds: Kinds, schema: str, what: str) -> Chunks:
     description, newest = [*texts, {}, {}][:2]
     advice = "evaluate a recording of the run"
     require_schema(path, description.get("format"), schema, what, advice)
-    return Chunks(description, newest, rows, told, size - place, path)
+    return Chunks(description, newest, rows, described, size - place, path)
 
 
 def _next_chunk(file: BinaryIO, left: int, kinds: Kinds) -> Chunk | None:

@@ -50,7 +50,7 @@ class StateWriter(ChunkWriter):
     def __init__(self, path: Path, description: Mapping[str, Any]) -> None:
         self.lost = 0  # number of states that could not be written
         self.why_lost = ""  # why the last of them could not
-        self._told: Mapping[str, Any] = {}
+        self._described: Mapping[str, Any] = {}
         super().__init__(path, _KINDS, {"format": FORMAT, **description})
 
     def append(self, states: Trajectory) -> None:
@@ -74,10 +74,10 @@ class StateWriter(ChunkWriter):
         rows = message_rows(messages)
         self.add(_AS_RECEIVED, *(rows[name] for name in MESSAGE.names or ()))
 
-    def tell(self, state: Mapping[str, Any]) -> None:
+    def describe(self, state: Mapping[str, Any]) -> None:
         """Write the newest settings and counts, if they have changed."""
-        if state != self._told:
-            self._told = state
+        if state != self._described:
+            self._described = state
             none = np.empty(0, np.int64)
             self.add(_STATES, none, none, np.empty((0, 10)), text=state)
         self.write()
@@ -104,7 +104,7 @@ def read_states(path: Path) -> RecordedStates:
         InputError: It can't be read, is no such file, or is of another version.
     """
     chunks = read_chunks(path, _KINDS, FORMAT, "file of states")
-    later = [rows for rows in chunks.rows[chunks.told :] if rows.dtype != MESSAGE]
+    later = [rows for rows in chunks.rows[chunks.described :] if rows.dtype != MESSAGE]
     return RecordedStates(
         description=chunks.description,
         state=chunks.newest,
