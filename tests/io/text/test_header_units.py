@@ -72,7 +72,9 @@ def test_messages_as_json_lines(tmp_path: Path) -> None:
 def test_parts_that_are_no_nanoseconds_are_refused(wrong: object, tmp_path: Path) -> None:
     parts = [*NANOSECONDS[:2], wrong, 0]
     path = written(tmp_path / "a.csv", "sec,nanosec,x,y,z", SECONDS, parts)
-    with pytest.raises(InputError, match=r"row 3 has .* nanoseconds .* expected 0 to 999999999"):
+    with pytest.raises(
+        InputError, match=r"row 3 has .* in column nanosec, expected 0 to 999999999"
+    ):
         read_trajectory(path)
 
 
@@ -94,6 +96,7 @@ def test_positions_are_in_the_unit_that_their_names_have(
     ("names", "unit"),
     [
         ("x [ft],y [ft],z [ft]", "unit of 'x .ft.', 'ft', is unknown"),
+        ("x_ft,y_ft,z_ft", "unit of 'x_ft', 'ft', is unknown"),
         ("x_mm,y_mm,z_m", "its positions are in mm and m, not all in m,"),
         ("x [mm],y,z", "its positions are in mm and m, not all in m,"),
         ("lat [rad],lon [rad],alt", "unit of 'lat .rad.', 'rad', is unknown"),
@@ -131,6 +134,7 @@ def test_a_column_without_a_name_is_named_by_its_place(tmp_path: Path) -> None:
     ("name", "per_second"),
     [
         *((name, 1000) for name in ("ms", "timems", "time/ms", "t_ms", "time (milliseconds)")),
+        *((name, 1000) for name in ("milli_time", "ms_stamp", "time_ms_since_start")),
         *((name, 10**6) for name in ("micros", "time [µs]", "time_us", "time in us")),
     ],
 )
@@ -156,11 +160,56 @@ def test_a_comment_about_a_unit_is_told(comment: str, names: str, tmp_path: Path
     assert any(f"a comment is not read: {comment!r}" in text for text in remarks)
 
 
-@pytest.mark.parametrize("unit", ["mm", " [millimetre]", " in mm", "_millimeters"])
-def test_units_of_positions(unit: str, tmp_path: Path) -> None:
-    names = ",".join(f"{axis} {unit}" for axis in "xyz")
+@pytest.mark.parametrize(
+    "name",
+    ["{} mm", "{}  [millimetre]", "{}  in mm", "{} _millimeters", "mm_{}", "imu_mm_pos_{}"],
+)
+def test_units_of_positions(name: str, tmp_path: Path) -> None:
+    names = ",".join(map(name.format, "xyz"))
     read = read_trajectory(written(tmp_path / "a.csv", f"t_ns,{names}", STAMPS))
     np.testing.assert_allclose(read.positions, 1e-3 * POSITIONS)
+
+
+@pytest.mark.parametrize("name", ["deg_{}", "imu_deg_{}", "{}_in_deg"])
+def test_units_of_angles(name: str, tmp_path: Path) -> None:
+    names = ",".join(map(name.format, ("roll", "pitch", "yaw")))
+    path = written(tmp_path / "a.csv", f"{names},x,y,z", [1] * 4, [2] * 4, [3] * 4)
+    angles = Rotation.from_quat(read_trajectory(path).known_quaternions).as_euler("ZYX", True)
+    np.testing.assert_allclose(angles, [[3, 2, 1]] * 4)
+
+
+WEEK_S = 604_800
+
+
+@pytest.mark.parametrize(
+    ("names", "first_s", "per_second", "weeks_s"),
+    [
+        ("week,tow", 200_000.25, 1, 0),
+        ("gps_week,gps_sow", 7.5, 1, 0),
+        ("WN,iTOW", 7.5, 1000, 0),
+        ("week,tow", 200_000.25, 1000, 0),
+        ("Week,GPSTime", WEEK_S - 2.5, 1, 2345 * WEEK_S),  # the week changes
+    ],
+)
+def test_times_of_the_week_of_gps(
+    names: str, first_s: float, per_second: int, weeks_s: int, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    pairs = [divmod(first_s + row, WEEK_S) for row in range(9)]
+    lines = [f"{2345 + week:.0f},{per_second * time:.10g},{time},2,3" for week, time in pairs]
+    path.write_text("\n".join([f"{names},x,y,z", *lines]))
+    stamps_s = [weeks_s + first_s + row for row in range(9)]
+    assert (read_trajectory(path).stamps / 1e9).tolist() == stamps_s
+    path.write_text("\n".join([f"{names},x,y,z", *lines, f"-1,{lines[0][5:]}"]))
+    with pytest.raises(InputError, match="row 10 has -1 in column week, expected 0 to 9999"):
+        read_trajectory(path)
+
+
+def test_rtklib_has_one_name_for_week_and_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.pos"
+    lines = [f"2345 {200_000 + row}.25 47.{row} 8.5 400 1" for row in range(1, 9)]
+    path.write_text("\n".join(["%  GPST  latitude(deg) longitude(deg) height(m) Q", *lines]))
+    assert read_trajectory(path).stamps[:2].tolist() == [200_001_250_000_000, 200_002_250_000_000]
 
 
 @pytest.mark.parametrize(

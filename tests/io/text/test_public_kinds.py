@@ -78,6 +78,22 @@ RECORDS = "".join(
     + "\n"
     for row in range(COUNT)
 )
+ANGLES_ROWS = rows(PLACES, ANGLES).splitlines()
+OLD_MOTIVE = "Format Version,1.2,Rotation Type,Quaternion,Length Units,Millimeters\n\n"
+OLD_MOTIVE += "".join(f",,{','.join([body] * 7)}\n" for body in ("Rigid Body", "drone", "1"))
+OLD_MOTIVE += f",,{','.join(['Rotation'] * 4 + ['Position'] * 3)}\nFrame,Time,X,Y,Z,W,X,Y,Z\n"
+OLD_MOTIVE += rows(np.arange(COUNT), TIMES, XYZW, 1000.0 * PLACES, separator=",")
+
+
+def entries(name: str, first: int, rows: int = 3, columns: int = 4) -> str:
+    """Return the names of the entries of a matrix, row by row."""
+    return ",".join(
+        name.format(first + row, first + column)
+        for row in range(rows)
+        for column in range(columns)
+    )
+
+
 # Text, whether it has rotations, and whether it has times.
 KINDS: dict[str, tuple[str, bool, bool]] = {
     "KITTI-360 cam0_to_world": (rows(np.arange(COUNT), MATRICES), True, False),
@@ -213,6 +229,44 @@ KINDS: dict[str, tuple[str, bool, bool]] = {
         True,
         True,
     ),
+    "COLMAP without its comment": (IMAGES.partition("\n")[2], True, False),
+    "TORO": (
+        "".join(f"VERTEX3 {row} {line}\n" for row, line in enumerate(ANGLES_ROWS)),
+        True,
+        False,
+    ),
+    "a matrix from 00 to 23": (
+        rows(SECONDS, MATRICES[:, :3], separator=",", header="time," + entries("m{}{}", 0)),
+        True,
+        True,
+    ),
+    "a matrix from 11 to 44": (
+        rows(SECONDS, MATRICES, separator=",", header="time," + entries("T_{}{}", 1, rows=4)),
+        True,
+        True,
+    ),
+    "a position and a rotation matrix": (
+        rows(
+            SECONDS,
+            PLACES,
+            MATRICES[:, :3, :3],
+            separator=",",
+            header="time,x,y,z," + entries("r{}{}", 1, columns=3),
+        ),
+        True,
+        True,
+    ),
+    "an old export of Motive": (OLD_MOTIVE, True, False),
+    "positions of two quantities": (
+        rows(
+            SECONDS,
+            PLACES + 1,
+            PLACES,
+            header="time mag_pos_x mag_pos_y mag_pos_z p_x p_y p_z",
+        ),
+        False,
+        True,
+    ),
     "commas, seconds": (rows(SECONDS, PLACES, XYZW, separator=","), True, True),
     "commas, nanoseconds": (rows(STAMPS, PLACES, WXYZ, separator=","), True, True),
 }
@@ -266,6 +320,20 @@ REFUSED: dict[str, tuple[str, int]] = {  # text, and which of the suggested opti
         rows(np.arange(COUNT), SECONDS, PLACES, XYZW, header="frame image x y z qx qy qz qw"),
         0,
     ),
+    "a position of a magnetometer": (
+        rows(SECONDS, PLACES, XYZW, header="t mag_pos_x mag_pos_y mag_pos_z qx qy qz qw"), 0,
+    ),
+    "PX4": (
+        rows(SECONDS, PLACES, WXYZ, separator=",",
+             header="timestamp," + entries("position[{1}]", 0, 1, 3) + ","
+                    + entries("q[{1}]", 0, 1)),
+        1,
+    ),
+    "a matrix without names": (
+        rows(SECONDS, MATRICES[:, :3], header="t " + " ".join(f"p{at}" for at in range(12))), 0,
+    ),
+    "a position and a rotation matrix": (rows(SECONDS, PLACES, MATRICES[:, :3, :3]), 0),
+    "a number and angles": (rows(np.arange(COUNT), SECONDS, PLACES, ANGLES), 0),
     "unknown names": (rows(SECONDS, PLACES, XYZW, header="a1 a2 a3 a4 a5 a6 a7 a8"), 0),
     "a quaternion without names": (
         rows(SECONDS, PLACES, WXYZ, header="time x y z rot1 rot2 rot3 rot4"), 1,
@@ -355,6 +423,73 @@ def test_the_option_for_a_few_columns_works(text: str, has_times: bool, tmp_path
     [option] = re.findall(r"--columns '([^']*)'", str(refusal.value))
     read = read_trajectory(path, hints=SideHints.of(option, None).estimate)
     assert_right(read, rotations=False, times=has_times)
+
+
+NOON = 1_718_971_198_760_000_000 + 50_000_000 * np.arange(COUNT)  # from 11:59:58.76
+EARLY = NOON % (86_400 * 10**9) - 43_140 * 10**9  # from 00:00:58.76
+BOOT = 123_456_789 + 50_000 * np.arange(COUNT)
+
+
+def digits(stamps: np.ndarray) -> list[str]:
+    """Return nanoseconds as yyyymmddhhmmss.sss."""
+    return [re.sub("[-T:]", "", word) for word in (stamps // 10**6).astype("M8[ms]").astype(str)]
+
+
+@pytest.mark.parametrize(
+    ("times", "expected"),
+    [
+        ([word[8:] for word in digits(NOON)], NOON % (86_400 * 10**9)),
+        ([word[8:].lstrip("0") for word in digits(EARLY)], EARLY),
+        (digits(NOON), NOON),
+        (BOOT, 1000 * BOOT),
+        (BOOT - BOOT[0], 1000 * (BOOT - BOOT[0])),
+    ],
+    ids=["hhmmss", "mmss", "yyyymmddhhmmss", "microseconds", "microseconds from zero"],
+)
+def test_numbers_that_are_no_seconds_are_refused(
+    times: list[str], expected: np.ndarray, tmp_path: Path
+) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(rows(times, PLACES, XYZW))
+    with pytest.raises(InputError) as refusal:
+        read_trajectory(path)
+    option = re.findall(r"--columns '([^']*)'", str(refusal.value))[0]
+    read = read_trajectory(path, hints=SideHints.of(option, None).estimate)
+    assert_right(read, times=False)
+    assert read.stamps.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("first", [735_774.79375, 45_000.79375, 0.0])
+def test_days_are_no_seconds(first: float, tmp_path: Path) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(rows([f"{first + time / 86_400.0:.12f}" for time in TIMES], PLACES, XYZW))
+    with pytest.raises(InputError, match=r"steps of 6e-07, too short for seconds, as those of da"):
+        read_trajectory(path)
+
+
+@pytest.mark.parametrize(
+    ("above", "comment", "is_refused"),
+    [
+        ("", "# t x y z qw qx qy qz", True),
+        ("# t x y z qx qy qz qw", "# t x y z qw qx qy qz", True),
+        ("", "# x y z t", True),
+        ("", "# timestamp tx ty tz qx qy qz qw", False),
+        ("# t x y z qx qy qz qw", "# lost at this time, at x 3 and y 4", False),
+        ("# t x y z qx qy qz qw", f"#{SECONDS[30]} 1 2 3 0 0 0 1", False),
+    ],
+)
+def test_comments_between_rows(above: str, comment: str, is_refused: bool, tmp_path: Path) -> None:
+    """They can name the columns of the following rows, or be a row that was removed."""
+    path = tmp_path / "t.txt"
+    lines = rows(SECONDS, PLACES, XYZW, header=above).splitlines()
+    path.write_text("\n".join([*lines[:30], comment, *lines[30:]]))
+    if is_refused:
+        with pytest.raises(
+            InputError, match=r"line 31: a comment names other columns .* tail -n "
+        ):
+            read_trajectory(path)
+    else:
+        assert_right(read_trajectory(path))
 
 
 @pytest.mark.parametrize("unit", ["10ns", "min", "h", "days"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,13 @@ def test_a_file_of_times_has_one_per_row(tmp_path: Path, count: int) -> None:
     else:
         assert not result.reading.stamped
         assert f"times.txt ignored: it has {count} rows for 4 poses" in text(result)
+    (tmp_path / "times.txt").write_text("0\n33\n67\n100\n")
+    with pytest.raises(InputError, match=r"steps of 33, seconds or milliseconds; .* sed -i") as no:
+        read_trajectory(tmp_path / "x.txt")
+    command = str(no.value).partition("above them: ")[2].partition(" (or")[0]
+    subprocess.run(["bash", "-c", command], check=True)
+    stamps = read_trajectory(tmp_path / "x.txt").stamps.tolist()
+    assert stamps == [0, 33_000_000, 67_000_000, 100_000_000]
     (tmp_path / "times.txt").write_text("1 2\n3 4\n")
     with pytest.raises(InputError, match="has 2 columns, expected one time per line"):
         read_trajectory(tmp_path / "x.txt")

@@ -12,26 +12,30 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.text.header_words import TIME_NAME, UNIT_OF_WORD, name_and_unit
-from trajeval_ros.io.text.layouts import example_for
+from trajeval_ros.io.text.layouts import ORDERS, examples, quaternion_in, with_names
 from trajeval_ros.io.text.names import (
     CLOCK,
     FRAME,
     GROUPS,
     IGNORED,
+    NAMES,
     PARTS,
     RECEIVED,
     ROTATIONS,
     TIME_UNITS,
     TIMES,
+    WEEK,
+    WEEK_S,
     Layout,
 )
-from trajeval_ros.io.text.stamps import are_parts, goes_back, goes_forward, is_clock
+from trajeval_ros.io.text.stamps import are_parts, goes_back, goes_forward, is_clock, likely_name
 from trajeval_ros.io.text.table import TextTable
 
 # Patterns are compiled on use, since most files have no header.
 _OTHER_SPEED = r"[\[(](?!m[ /])[a-z]+ ?(?:/ ?[sh]|s\^?-1)|[\[(]m ?/ ?h"  # not m/s
 _LENGTHS = ("m", "mm", "cm", "km")
 _NO_UNITS_OF_TIME = r"\d.*|.*s|min|h|d"  # others, such as [utc], do not say how long a step is
+_PART_OF_UNIT = {UNIT_OF_WORD[part]: part for part in PARTS if part != WEEK}
 _EXACT_TIME = "t|time|timestamp|stamp"  # preferred to times of something, such as track_time
 _RECEIVED = "received"
 _FRAME = r"frame|frame_?(?:index|number|num|no|id)|index|image|image_id|id|no|num|pose_index"
@@ -43,10 +47,9 @@ _POSITION = (
 )
 _QUATERNION = (
     r"(?:(?:q|quat|quaternion|orientation|q_[a-z_]+)_?"
-    r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_)([xyzw])" + _FRAMES
+    r"|(?:.*_)?(?:orientation|rotation|quaternion|quat|att|attitude)_)([xyzw])" + _FRAMES
 )
 _PATTERNS = (
-    (r"(?:.*_)?m_?([123])_?([1-4])", "m{}{}"),
     (r"p([rt])(11|12|13|22|23|33)", "p{}{}"),
     (_POSITION, "{}"),
     (_QUATERNION, "q{}"),
@@ -57,8 +60,9 @@ _PATTERNS = (
     (r"(?:.*_)?(roll|pitch|yaw)", "{}"),
 )  # fmt: skip
 _ANGLES = ("roll", "pitch", "yaw")
+_OF_MATRIX = {"x": "m14", "y": "m24", "z": "m34"}  # the same quantities
 _POSSIBLE = {  # units of quantities; others have one unit alone
-    **dict.fromkeys("xyz", _LENGTHS),
+    **dict.fromkeys(("x", "y", "z", *_OF_MATRIX.values()), _LENGTHS),
     **dict.fromkeys(("height", "sigma_east", "sigma_north", "sigma_up"), ("m",)),
     **dict.fromkeys(("latitude", "longitude"), ("deg",)),
     **dict.fromkeys(_ANGLES, ("rad",)),
@@ -76,17 +80,24 @@ _SETS: tuple[tuple[dict[str, str], set[str]], ...] = (
     ({f"q{axis}": f"(?:rot|r|o)_?{axis}" for axis in "xyzw"}, set()),
     ({"qx": "qi", "qy": "qj", "qz": "qk", "qw": "q[rw]"}, set()),
     ({"roll": "phi", "pitch": "theta", "yaw": "psi"}, set()),
+    *(
+        ({axis: f"{word}_?{at}" for axis, at in zip("xyz", numbers, strict=True)}, needed)
+        for numbers in ("012", "123")
+        for word, needed in (("(?:.*_)?(?:position|pos|translation)", set()), ("t", {"m33"}))
+    ),
 )
 _FIXES = {  # used only if both latitude and longitude are present
     "latitude": r"(?:.*_)?(?:lat|latitude)",
     "longitude": r"(?:.*_)?(?:lon|lng|long|longitude)",
-    "height": r"(?:.*_)?(?:h|height|alt|altitude|ellipsoidal_?height|elevation|h_ell)",
+    "height": r"(?:.*_)?(?:h|height|elevation|h_ell|ellipsoidal_?height|alt|altitude)"
+    r"(?:_ellipsoid)?",
     "sigma_east": r"(?:s|sd|std|sigma)_?(?:e|east|x)",
     "sigma_north": r"(?:s|sd|std|sigma)_?(?:n|north|y)",
     "sigma_up": r"(?:s|sd|std|sigma)_?(?:u|up|z)",
     "fix_status": r"(?:.*_)?(?:fix_?)?status(?:_status)?",
 }
 _COVARIANCE = r"(?!.*twist)(?:.*_)?(?:c|cov|covariance)_?(\d+)(?:_(\d))?"
+_MATRIX = r"(?:.*_)?(?:m|mat|matrix|t|tf|transform|pose|r|rot|rotation)_?([0-4])_?([0-4])"
 _AXES = ("x", "y", "z", *_ANGLES)
 _AXIS = "|".join(_AXES)
 # A covariance of two axes, or the variance of one.
@@ -100,20 +111,26 @@ _MARGINALS = dict(  # of OpenVINS
 )
 # Words of what is no part of a pose: quantities, and labels, which may count or be times.
 _END = r"(?:[xyzneu]|\d{1,4})?(?:_.*)?"
-_QUANTITY = (
-    r"(?:.*_)?(?:vel|velocity|speed|twist|linear|angular|ang(?:vel)?|omega|acc|accel(?:eration)?"
+_QUANTITIES = (
+    r"(?:vel|velocity|speed|twist|linear|angular|ang(?:vel)?|omega|acc|accel(?:eration)?"
     r"|gyro|mag|gravity|wind|force|torque|wrench|temp(?:erature)?|pressure|battery|voltage"
     r"|exposure|gain|cov(?:ar(?:iance)?)?|var(?:iance)?|std(?:dev)?|sigma|sd|sd[neu]+"
     r"|err(?:or)?|residual|rmse|quality|score|confidence|conf|ratio|dop|[hpv]dop|scale|bias|b[agw]"
-    r"|distance|dist|length|width|hz|rate|fov|fx|fy|cx|cy)" + _END
+    r"|distance|dist|length|width|hz|rate|fov|fx|fy|cx|cy)"
 )
+_QUANTITY = rf"(?:.*_)?{_QUANTITIES}{_END}"
+# A position or a rotation of another quantity, such as mag_pos_x; ang_roll is an angle.
+_OF_ANOTHER = rf"(?:.*_)?(?!ang_){_QUANTITIES}_(?:[a-z]+_)?(?:[xyzw]|roll|pitch|yaw)"
 _LABEL = (
     r"(?:.*_)?(?:id|uid|name|key|seq|counter|topic|type|state|mode|flag|valid|camera|device|label"
     r"|q|num|count|sats?|satellites|ns|nsat|age|status|fix|service|duration|dt|week|seconds"
     r"|v|w|a|b|d|l|marker|mean|tracking|lidar|image|file|path|frame)" + _END
 )
+_OF_WEEK = r"(?:.*_)?(?:tow|sow)(?:_.*)?"  # seconds of the week of GPS
+_WEEK = r"(?:gps_?)?(?:week|wn)(?:_?(?:number|num|no))?"
 _COMPASS = r"(?:.*_)?(?:heading|azimuth|course|bearing|track)"
 _MOST_NAMES = 100  # in a header of a pose that is no table
+_FEWEST_ENTRIES = 9  # of a matrix: those of a rotation
 
 
 def count_of_pose(names: Sequence[str]) -> int:
@@ -149,7 +166,7 @@ def from_header(names: Sequence[str], table: TextTable) -> Layout | None:
     header = _Header(names, plain, units, table)
     columns, rivals = _columns(header)
     layout = Layout("", tuple(columns))
-    places = layout.groups.get("position") or layout.groups.get("planar", ())
+    places = [at for at, name in enumerate(columns) if name in (*_OF_MATRIX, *_OF_MATRIX.values())]
     layout = dataclasses.replace(
         layout, unit=" and ".join(dict.fromkeys(units[place] or "m" for place in places)) or "m"
     )
@@ -176,12 +193,14 @@ def from_header(names: Sequence[str], table: TextTable) -> Layout | None:
         for at, column in enumerate(table.values.T)
         if not known[at] and not _is_constant(column)
     ]
-    quantity, examples = _missing(header, layout, unknown)
+    quantity, complete = _missing(header, layout, unknown)
     if quantity:
         words = ", ".join(repr(names[at][:40]) for at in unknown[:6])
         doubt = f", and the meaning of {words} is unknown" if unknown else ""
+        time = likely_name(table.values[:, layout.time or 0]) if layout.time_name == "t" else ""
         options = " or ".join(
-            f"{{option}} '{layout.with_columns(example).named()[:300]}'" for example in examples
+            f"{{option}} '{layout.with_columns(example).named(time)[:300]}'"
+            for example in complete
         )
         raise InputError(
             f"no column has a name of a {quantity} ({', '.join(names)[:200]}){doubt}; if one is "
@@ -229,23 +248,18 @@ def _missing(
     With it, names of all columns as examples, the quantity included.
     """
     columns, plain, units, table = list(layout.columns), header.plain, header.units, header.table
-    has_rotation = not set(ROTATIONS).isdisjoint(layout.groups)
-    is_unpaired = layout.time_name in ("", FRAME)
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
-        clocks = [
-            at
-            for at, column in enumerate(table.values.T)
-            if is_unpaired
-            and columns[at] == IGNORED
-            and units[at] in ("", *TIME_UNITS)
-            and not re.fullmatch(_QUANTITY, plain[at])
-            and is_clock(column)
-        ]
-        lengths = [
-            np.linalg.norm(table.values[:, at : at + 4], axis=1) for at in range(len(columns) - 3)
-        ]
     if not layout.has_places:
-        return "position", [example_for(table, columns).split()]
+        return "position", examples(table, columns)
+    is_unpaired = layout.time_name in ("", FRAME)
+    clocks = [
+        at
+        for at, column in enumerate(table.values.T)
+        if is_unpaired
+        and columns[at] == IGNORED
+        and units[at] in ("", *TIME_UNITS)
+        and not re.fullmatch(_QUANTITY, plain[at])
+        and is_clock(column)
+    ]
     if clocks:
         columns = [IGNORED if name == FRAME else name for name in columns]
         words = [
@@ -258,11 +272,10 @@ def _missing(
     if "planar" in layout.groups and unknown:
         columns[unknown[0]] = "z"
         return "height", [columns]
-    four = [at for at, length in enumerate(lengths) if (np.abs(length - 1.0) < 1e-2).all()]
-    if not layout.is_geographic and not has_rotation and four:  # neighbours of unit length
-        before, after = columns[: four[0]], columns[four[0] + 4 :]
-        orders = "qx qy qz qw", "qw qx qy qz"
-        return "rotation", [[*before, *order.split(), *after] for order in orders]
+    has_rotation = not {"matrix", *ROTATIONS}.isdisjoint(layout.groups)
+    four = quaternion_in(table, range(len(columns)))
+    if four and not layout.is_geographic and not has_rotation:
+        return "rotation", [with_names(columns, four, order) for order in ORDERS]
     return "", []
 
 
@@ -288,7 +301,7 @@ def _columns(header: _Header) -> tuple[list[str], dict[int, str]]:
     for place in places(_RECEIVED):
         name(place, RECEIVED)
     _name_time(header, name)
-    for place, word in _covariances(plain).items():
+    for place, word in _entries(plain).items():
         name(place, word)
     theta_is_yaw = not places("phi|psi")
     is_global = ["ecef" in word for word in plain]  # next to the same in a local frame (Aria)
@@ -302,6 +315,8 @@ def _columns(header: _Header) -> tuple[list[str], dict[int, str]]:
             quantity = template.format(*match.groups())
             if quantity in _ANGLES and units[place] == "deg":
                 quantity += "_deg"
+            if quantity in _POSE and re.fullmatch(_OF_ANOTHER, word):
+                continue
             if "v" in quantity and (
                 units[place] in (*TIME_UNITS, *_LENGTHS)
                 or re.search(_OTHER_SPEED, header.names[place].lower())
@@ -324,6 +339,8 @@ def _columns(header: _Header) -> tuple[list[str], dict[int, str]]:
         if all(at.values()) and not set(patterns) & set(columns) and needed <= set(columns):
             for word, all_at in at.items():
                 name(all_at[0], word)
+    if "m33" in columns and "m34" not in columns and not rivals:  # with a position of its own
+        columns = [_OF_MATRIX.get(word, word) for word in columns]
     return columns, rivals
 
 
@@ -351,9 +368,9 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
     joined = {  # columns of the parts of whole seconds, by that of the seconds
         seconds[stems[at]]: at
         for at, column in enumerate(sample.T)
-        if units[at] in PARTS
+        if units[at] in _PART_OF_UNIT
         and stems[at] in seconds
-        and 2 * np.sum(are_parts(column, units[at])) >= len(column)
+        and 2 * np.sum(are_parts(column, _PART_OF_UNIT[units[at]])) >= len(column)
     }
     times = sorted(
         {*times, *joined} - {*joined.values()},
@@ -366,9 +383,10 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
         ),
     )
     for place in times[:1]:
-        name(place, f"t_{units[place]}" if units[place] in TIME_UNITS else "t")
+        unit = _unit_of_time(header, place, name)
+        name(place, f"t_{unit}" if unit in TIME_UNITS else "t")
         if place in joined:
-            name(joined[place], PARTS[units[joined[place]]])
+            name(joined[place], _PART_OF_UNIT[units[joined[place]]])
     for place in times[1:]:
         if plain[place] == "receive_time":  # of Foxglove's tables
             name(place, RECEIVED)
@@ -378,26 +396,48 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
             break
 
 
-def _covariances(plain: Sequence[str]) -> dict[int, str]:
-    """Return names of covariances by column: numbered, named by axes, or of OpenVINS.
+def _unit_of_time(header: _Header, place: int, name: Callable[[int, str], None]) -> str:
+    """Return the unit of a time, "" if unknown; if it is of the week of GPS, name the week."""
+    unit, weeks = header.units[place], header.places(_WEEK)
+    if weeks or re.fullmatch(_OF_WEEK, header.plain[place]):
+        latest = np.nanmax(header.table.values[:, place], initial=0.0)
+        unit = unit or ("s" if latest <= WEEK_S else "ms")
+        if unit in TIME_UNITS and latest * TIME_UNITS[unit] <= WEEK_S * TIME_UNITS["s"]:
+            for week in weeks:
+                name(week, WEEK)
+        else:
+            unit = header.units[place]
+    return unit
 
-    Numbers are 0 to 35, 11 to 66 or 00 to 55.
+
+def _entries(plain: Sequence[str]) -> dict[int, str]:
+    """Return names of the entries of covariances and of a matrix by column.
+
+    Covariances are numbered (0 to 35, 11 to 66 or 00 to 55), named by axes, or of OpenVINS.
+    Matrices are numbered from 11 or from 00.
     """
-    named, numbers = {}, {}
+    named: dict[int, str] = {}
+    numbers: dict[str, dict[int, str]] = {"c": {}, "m": {}}
     for place, word in enumerate(plain):
         if match := re.fullmatch(_COVARIANCE, word):
-            numbers[place] = f"{match[1]}{match[2] or ''}"
+            numbers["c"][place] = f"{match[1]}{match[2] or ''}"
         elif match := re.fullmatch(_PAIR, word):
             row, column = _AXES.index(match[1] or match[2]), _AXES.index(match[2])
             named[place] = f"c{row + 1}{column + 1}"
         elif word in _MARGINALS:
             named[place] = _MARGINALS[word]
-    counted = set(numbers.values()) == set(map(str, range(36)))
-    first = 0 if any("0" in digits for digits in numbers.values()) else 1
-    for place, digits in numbers.items():
-        if counted or len(digits) == 2:
-            row, column = divmod(int(digits), 6) if counted else (int(at) - first for at in digits)
-            named[place] = f"c{row + 1}{column + 1}" if max(row, column) < 6 else IGNORED
+        elif match := re.fullmatch(_MATRIX, word):
+            numbers["m"][place] = match[1] + match[2]
+    if len(numbers["m"]) < _FEWEST_ENTRIES:
+        del numbers["m"]
+    for letter, digits_of in numbers.items():
+        counted = set(digits_of.values()) == set(map(str, range(36)))
+        first = 0 if any("0" in digits for digits in digits_of.values()) else 1
+        for place, digits in digits_of.items():
+            if counted or len(digits) == 2:
+                both = divmod(int(digits), 6) if counted else (int(at) - first for at in digits)
+                word = letter + "".join(str(at + 1) for at in both)
+                named[place] = word if word in NAMES else IGNORED
     return named
 
 

@@ -23,18 +23,25 @@ from trajeval_ros.io.text.names import (
     FAST_LIO,
     GROUPS,
     IGNORED,
+    ROTATIONS,
     TEXT,
     Layout,
 )
-from trajeval_ros.io.text.stamps import is_date, is_time_of_day, may_be_time, unit_of
+from trajeval_ros.io.text.stamps import (
+    goes_back,
+    is_clock,
+    is_date,
+    is_time_of_day,
+    unit_of,
+)
 from trajeval_ros.io.text.states import ORTHONORMAL
 from trajeval_ros.io.text.table import TextTable, number
 from trajeval_ros.metrics.statistics import median
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
-_SURPLUS = 0.6  # of steps in one direction, of all: 0.33 in columns of matrices with three lines
-# Names for the columns of an unknown pose, by the least number of columns.
-_EXAMPLES = (7, "x y z qx qy qz qw"), (6, "x y z roll pitch yaw"), (3, "x y z"), (2, "x y")
+_LARGEST_ID = 1e8  # larger numbers are times since 1970
+ORDERS = ("qx", "qy", "qz", "qw"), ("qw", "qx", "qy", "qz")  # of the elements of a quaternion
+_ROTATION_FIRST = tuple(sorted(GROUPS["matrix"], key=lambda name: name[2] == "4"))
 CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "axes north, east and down")
 _POSE, _POSE_W, _V = "t x y z qx qy qz qw", "t x y z qw qx qy qz", "vx vy vz"
@@ -135,12 +142,6 @@ def _matrices(table: TextTable, layout: Layout, _: Floats) -> Any:
     return (errors < ORTHONORMAL) & (np.linalg.det(axes) > 0.0)
 
 
-def _steps(column: Floats) -> bool:
-    """Return whether most steps have one direction; neighbours may have changed places."""
-    signs = np.sign(np.diff(column[np.isfinite(column)]))
-    return bool(not signs.any() or abs(signs.sum()) >= _SURPLUS * np.abs(signs).sum())
-
-
 def _are_whole(column: Floats, end: float) -> Any:
     """Return which values are whole numbers from zero below `end`."""
     return (column == np.round(column)) & (column >= 0.0) & (column < end)
@@ -151,7 +152,7 @@ CHECKS: dict[str, Callable[[TextTable, Layout, Floats], Any]] = {
     "spaces": lambda table, layout, times: table.separator in ("", "\t"),
     "commas": lambda table, layout, times: table.separator not in ("", "\t") and not table.at_end,
     "vins": lambda table, layout, times: table.at_end,
-    "time": lambda table, layout, times: _steps(times),
+    "time": lambda table, layout, times: not goes_back(times) or not goes_back(-times),
     "frames": lambda table, layout, times: _are_whole(times, 1e8).all(),
     "times": lambda table, layout, times: not _are_whole(times, 1e8).all(),
     "id": lambda table, layout, times: _are_whole(table.values[:, 0], 1e8),
@@ -183,30 +184,69 @@ def fits(table: TextTable, layout: Layout) -> bool:
     return all(not len(rows) or rows.mean() >= _MOST for rows in passed)
 
 
-def example_for(table: TextTable, known: Sequence[str] = ()) -> str:
+def quaternion_in(table: TextTable, places: Sequence[int]) -> Sequence[int]:
+    """Return the first four successive columns of `places` with unit length, () without."""
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
+        for at in range(len(places) - 3):
+            lengths = np.linalg.norm(table.values[:, places[at : at + 4]], axis=1)
+            if (np.abs(lengths - 1.0) < 1e-2).all():
+                return places[at : at + 4]
+    return ()
+
+
+def with_names(columns: Sequence[str], places: Sequence[int], names: Sequence[str]) -> list[str]:
+    """Return names of columns, some of them replaced."""
+    new = dict(zip(places, names, strict=False))
+    return [new.get(at, name) for at, name in enumerate(columns)]
+
+
+def examples(table: TextTable, named: Sequence[str] = ()) -> list[list[str]]:
     """Return names for all columns of a table without a known position, with `_` for text.
 
-    `known`: names of the columns, as far as a header has them.
+    If there is a quaternion, these are two examples, for both orders. `named`: names of the
+    columns, as far as a header has them.
     """
-    columns, words = list(known) or [IGNORED] * table.columns, table.sample[0]
-    time = Layout("", tuple(columns)).time
+    header, words = Layout("", tuple(named) or (IGNORED,) * table.columns), table.sample[0]
+    used = {place for places in header.groups.values() for place in places} | {header.time}
+    columns = [name if at in used else IGNORED for at, name in enumerate(header.columns)]
+    time = header.time
     if time is None:
         time = next((at for at, word in enumerate(words) if is_date(word)), None)
         if time is not None:
             columns[time] = "t"
             if any(map(is_time_of_day, words[time + 1 : time + 2])):
                 columns[time + 1] = CLOCK
-    places = [
-        at for at in np.flatnonzero(~table.texts).tolist() if at != time and columns[at] != CLOCK
-    ]
-    if time is None and places and may_be_time(table.values[:, places[0]], table.columns):
-        columns[places.pop(0)] = "t"
-    pose = next((names for count, names in _EXAMPLES if count <= len(places)), "")
-    if not pose:
-        return "t x y z"
-    for at, name in zip(places, pose.split(), strict=False):
-        columns[at] = name
-    return " ".join(columns)
+    free = [at for at in np.flatnonzero(~table.texts).tolist() if columns[at] == IGNORED]
+    if time is None and free:
+        clocks = [at for at in free if is_clock(table.values[:, at])]
+        epochs = [at for at in clocks if table.values[0, at] > _LARGEST_ID]
+        first = table.values[:, free[0]]
+        if epochs or clocks[:1] == free[:1] or (table.columns > 3 and not goes_back(first)):
+            time = (epochs or free)[0]  # wide tables usually have the time first
+            columns[time] = "t"
+            free = free[free.index(time) == 1 :]  # an id before the time is ignored
+            free.remove(time)
+    for names in (GROUPS["matrix"], _ROTATION_FIRST) if len(free) >= len(_ROTATION_FIRST) else ():
+        for at in range(len(free)):
+            example = with_names(columns, free[at:] + free[:at], names)
+            if fits(table, Layout("", tuple(example), checks=("matrix",))):
+                return [example]
+    has_rotation = not set(ROTATIONS).isdisjoint(header.groups)
+    four = () if has_rotation else quaternion_in(table, free)
+    free = [at for at in free if at not in four]
+    if len(free) < 2:
+        return [["t", "x", "y", "z"]]
+    pose = ["x", "y", "z"]
+    if len(free) == 6 and not has_rotation and not four:
+        suffix = "_deg" if np.nanmax(np.abs(table.values[:, free[3:]]), initial=0) > 6.3 else ""
+        pose += [f"{angle}{suffix}" for angle in GROUPS["angles"]]
+    columns = with_names(columns, free, pose)
+    return [with_names(columns, four, order) for order in ORDERS[: 2 if four else 1]]
+
+
+def options_for(table: TextTable) -> str:
+    """Return the options that name the columns of a table as in `examples`."""
+    return " or ".join(f"{{option}} '{' '.join(columns)}'" for columns in examples(table))
 
 
 def by_rows(table: TextTable) -> Layout:
@@ -227,18 +267,17 @@ def by_rows(table: TextTable) -> Layout:
             for layout in fitting
         )
         raise InputError(f"several layouts fit, and {where}; name the columns: {options}")
-    option = f"{{option}} '{example_for(table)}'"
     for line, row in zip(table.sample_lines, table.sample, strict=True):
         wrong = [at for at, word in enumerate(row) if number(word) is None]
         if 0 < len(wrong) <= max(1, table.columns // 4):
             raise InputError(
                 f"line {line + 1}, column {wrong[0] + 1}: {row[wrong[0]][:40]!r} is not a number; "
                 "correct or remove the line, or name the columns in a header line or as in "
-                f"{option}"
+                f"{options_for(table)}"
             )
     raise InputError(
         f"unknown layout with {counted(table.columns, 'column')}, and {where}; name the columns, "
-        f"as in {option}, with {IGNORED} for columns to ignore"
+        f"as in {options_for(table)}, with {IGNORED} for columns to ignore"
     )
 
 

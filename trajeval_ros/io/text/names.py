@@ -27,8 +27,15 @@ UNITS = {
     DATE: TIME_UNITS["s"],
 }
 TIMES = (*UNITS, FRAME, FRAME_1)
-# Columns to be added to times of whole seconds, as in a header of ROS, by their unit.
-PARTS = {"ns": "nanosec", "us": "microsec", "ms": "millisec"}
+WEEK, WEEK_S = "week", 604_800  # of GPS, which times of the week count from, and its seconds
+# Columns to be added to times, as in a header of ROS: their unit in nanoseconds, and the number
+# of it in what they count in, whole seconds or years.
+PARTS = {
+    "nanosec": (1, 10**9),
+    "microsec": (10**3, 10**6),
+    "millisec": (10**6, 10**3),
+    WEEK: (WEEK_S * 10**9, 10_000),
+}
 _SIX = range(1, 7)
 _TRIPLE = (11, 12, 13, 22, 23, 33)
 _XYZ = ("x", "y", "z")
@@ -57,7 +64,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "level_place": ("latitude", "longitude"),
     "place_sigma": ("sigma_east", "sigma_north", "sigma_up"),
     "fix_status": ("fix_status",),
-    **{part: (part,) for part in PARTS.values()},
+    **{part: (part,) for part in PARTS},
 }
 _METRIC = ("position", "planar", "matrix")
 _PLACES = {*_METRIC, "place", "level_place"}

@@ -19,12 +19,16 @@ from trajeval_ros.io.text.layouts import CAMERA, MATRIX_4X4, known
 from trajeval_ros.io.text.lines import Advance, open_lines
 from trajeval_ros.io.text.table import Records, number
 
-_TAG = re.compile(r"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s")
-_GRAPHS = {
+_PLANAR = known("g2o", "frame x y yaw", "", "g2o wiki: file format")
+_GRAPHS = {  # the last two are of TORO
     "VERTEX_SE3:QUAT": known("g2o", "frame x y z qx qy qz qw", "unit", "g2o wiki: file format"),
-    "VERTEX_SE2": known("g2o", "frame x y yaw", "", "g2o wiki: file format"),
+    "VERTEX_SE2": _PLANAR,
+    "VERTEX3": known("g2o", "frame x y z roll pitch yaw", "", "openslam.org/toro"),
+    "VERTEX2": _PLANAR,
 }
+_TAG = re.compile(rf"(?m)^({'|'.join(_GRAPHS)})\s")
 _COLMAP = "IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME"
+_PICTURE = r"(?i)\.(?:png|jpe?g|bmp|tiff?|p[gp]m|webp)\Z"
 _IMAGES = known(
     "COLMAP", "frame qw qx qy qz x y z", "unit", "colmap.github.io: output format",
     inverse=True, up=CAMERA, note="frame numbers from the names of the images",
@@ -46,12 +50,12 @@ def rewritten(path: Path, head: Sequence[str]) -> Records | None:
     if path.is_dir():
         return _folder(path)
     text = "\n".join(head)
-    if "VERTEX_SE" in text and (match := _TAG.search(text)):
+    if "VERTEX" in text and (match := _TAG.search(text)):
         tag = match[1]
         return Records(lambda advance: _vertices(path, advance, tag), _GRAPHS[tag])
-    if _COLMAP in text:
-        return Records(lambda advance: _images(path, advance), _IMAGES)
     rows = [line.split() for line in head[:120] if line.strip() and line.lstrip()[0] not in "#%"]
+    if _COLMAP in text or (rows and _is_image(rows[0])):
+        return Records(lambda advance: _images(path, advance), _IMAGES)
     if (
         len(rows) >= 4
         and _is_block(rows[:4])
@@ -77,17 +81,25 @@ def _is_block(rows: list[list[str]]) -> bool:
     return all(len(row) == 4 and None not in row for row in numbers) and numbers[3] == [0, 0, 0, 1]
 
 
+def _is_image(row: list[str]) -> bool:
+    """Return whether a line is an image of COLMAP: an id, a pose, a camera, and a name."""
+    if len(row) < 10 or not (row[0] + row[8]).isdigit() or not re.search(_PICTURE, row[-1]):
+        return False
+    numbers = [number(word) or 0.0 for word in row[1:5]]
+    return abs(sum(value * value for value in numbers) - 1.0) < 1e-2
+
+
 def _vertices(path: Path, advance: Advance | None, tag: str) -> Iterator[str]:
     """Yield the poses of a graph, which have one tag."""
     with open_lines(path, advance) as lines:
         for at, line in enumerate(lines, 1):
-            other = line.split(maxsplit=1)[0] if line.startswith("VERTEX_SE") else tag
-            if other != tag:
+            word = line.split(maxsplit=1)[0] if line.startswith("VERTEX") else ""
+            if word != tag and word in _GRAPHS:
                 raise InputError(
-                    f"{path}, line {at}: {other[:40]} after {tag}; keep the poses of one type: "
+                    f"{path}, line {at}: {word} after {tag}; keep the poses of one type: "
                     f"grep -v '^{tag} ' {path.name} > one.g2o"
                 )
-            yield line[len(tag) :] if line.startswith(tag) else "\n"
+            yield line[len(tag) :] if word == tag else "\n"
 
 
 def _images(path: Path, advance: Advance | None) -> Iterator[str]:

@@ -33,12 +33,12 @@ from trajeval_ros.io.text.names import (
 )
 from trajeval_ros.io.text.numpy_files import load, rows_of
 from trajeval_ros.io.text.pose_records import rewritten
-from trajeval_ros.io.text.recognise import layout_of_table, with_dates
+from trajeval_ros.io.text.recognise import check_comments, layout_of_table, with_dates
 from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import is_clock
 from trajeval_ros.io.text.states import states_of
 from trajeval_ros.io.text.table import Rows, TextTable, read_rows
-from trajeval_ros.io.text.times import parts_of_seconds, receive_times_of, times_of, with_times
+from trajeval_ros.io.text.times import part_of_times, receive_times_of, times_of, with_times
 
 
 def read_text(
@@ -121,6 +121,8 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     table, layout = _recognised(path, hints.columns)
     layout = with_dates(table, layout)
     rows = read_rows(table, layout, advance)
+    if not hints.columns:
+        check_comments(table, layout)
     return trajectory_of(path, layout, rows, hints, origin, table.left_out)
 
 
@@ -175,9 +177,9 @@ def trajectory_of(
     if times.kept is not None:
         rows = rows.where(times.kept)
     groups, has_times = rows.groups, times.stamped and len(stamps) > 0
-    for unit, part in PARTS.items():
+    for part in PARTS:
         if part in groups and has_times:
-            stamps = stamps + parts_of_seconds(path, groups[part][:, 0], unit)
+            stamps = stamps + part_of_times(path, groups[part][:, 0], part)
     if has_times:
         check_stamps(stamps, str(path))
     code = NAMED_COLUMNS if layout.name == AS_NAMED else FORMAT

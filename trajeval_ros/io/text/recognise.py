@@ -8,16 +8,15 @@ import re
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.text.header_names import count_of_pose, from_header
-from trajeval_ros.io.text.header_words import split_header
-from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, example_for
-from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
+from trajeval_ros.io.text.header_words import UNIT_OF_WORD, split_header
+from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, options_for
+from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, WEEK, Layout
 from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment
 from trajeval_ros.io.text.table import MIXED, SEPARATORS, TextTable, body_of
 
 _LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
 _STATEMENT = r"(?i)\b(wxyz|[mc]m|(milli|centi)met\w+|deg|degrees?|feet|inch(es)?)\b"
 _FEWEST = 4  # names of a pose that make a header of a line of other words
-_VICON_UNIT = r"|m/?s?|mm|cm|km|deg|rad|s|ms|us|ns"
 # Columns of Qualisys, whose header has no units.
 _QUALISYS = {
     "time": "t", "x": "x_mm", "y": "y_mm", "z": "z_mm",
@@ -53,11 +52,10 @@ def _certain(table: TextTable) -> Layout:
         )
     uncommented = [line for line in lines if body_of(line).strip()]
     for at, line in enumerate(lines):
-        if at == 0 or line.lstrip().startswith(("#", "%")) or not uncommented:
+        if at == 0 or line.lstrip().startswith(("#", "%", "FIELDS ")) or not uncommented:
             layout = _titled(table, line, lines[at + 1 :], has_clock)
             if layout is not None:
                 return _with_comments(layout, [*lines[:at], *lines[at + 1 :]])
-    example = f"{{option}} '{example_for(table)}'"
     if uncommented:
         counts = [len(split_header(uncommented[0], separator)) for separator in SEPARATORS]
         is_prose = not has_clock and table.columns not in counts
@@ -65,11 +63,12 @@ def _certain(table: TextTable) -> Layout:
             raise InputError(
                 f"line {table.first} does not name {table.columns} known columns: "
                 f"{uncommented[0][:80]!r}, above the first row {table.first_line!r}; name the "
-                f"columns, as in {example}, with {IGNORED} for columns to ignore"
+                f"columns, as in {options_for(table)}, with {IGNORED} for columns to ignore"
             )
     if has_clock:
         raise InputError(
-            f"dates without a header, first row {table.first_line!r}; name the columns: {example}"
+            f"dates without a header, first row {table.first_line!r}; name the columns: "
+            f"{options_for(table)}"
         )
     layout = by_rows(table)
     if layout.name == "smfeval":
@@ -79,6 +78,9 @@ def _certain(table: TextTable) -> Layout:
 
 def _with_comments(layout: Layout, lines: list[str]) -> Layout:
     """Note a comment, of `lines` above the rows, about a unit or an order that is not read."""
+    stated = re.search(r"(?i)\blength units\W+(\w+)", "\n".join(lines))  # of Motive
+    if stated and layout.unit == "m":
+        return dataclasses.replace(layout, unit=UNIT_OF_WORD.get(stated[1].lower(), stated[1]))
     line = next((line for line in lines if re.search(_STATEMENT, line)), "")
     text = f"a comment is not read: {line.strip()[:80]!r}"
     return dataclasses.replace(layout, note="; ".join(filter(None, [layout.note, line and text])))
@@ -100,6 +102,8 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
         names = split_header(line, separator)
         if len(names) == width + 1 and not names[-1]:
             names.pop()
+        if len(names) == width - 1 and names[0] == "GPST":  # of RTKLIB, for two columns
+            names[:1] = [WEEK, "tow"]
         count = count_of_pose(names)
         if len(names) > width == count_of_pose(names[:width]) == count:
             del names[width:]  # words after the names
@@ -108,8 +112,7 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
         if count >= _FEWEST and 2 * count > len(names) and all(names):
             raise InputError(
                 f"its header names {counted(len(names), 'column')}, {line.strip()[:80]!r}, and "
-                f"its rows have {table.columns}; name the columns, as in "
-                f"{{option}} '{example_for(table)}'"
+                f"its rows have {table.columns}; name the columns, as in {options_for(table)}"
             )
     else:
         return None
@@ -120,7 +123,7 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
         named = list(filter(None, names))
         if len(set(named)) < len(named):  # of a body of Motive, above the names of its axes
             names = [f"{first} {name}".strip() for first, name in zip(more, names, strict=False)]
-        if all(re.fullmatch(_VICON_UNIT, name) for name in names):  # below the names
+        if all(map(_is_unit, names)):  # of Vicon, below the names
             names = [
                 f"{name} [{unit}]" if unit else name
                 for name, unit in zip(more, names, strict=False)
@@ -131,6 +134,35 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
     if line.lstrip("# ").startswith("fields "):
         layout = dataclasses.replace(layout, name="trajectopy")
     return layout
+
+
+def _is_unit(word: str) -> bool:
+    """Return whether a word is a unit, such as mm or (deg/s), or an empty one."""
+    word = re.split("[/^ ]", word.strip("[]()").lower())[0]
+    return word in ("", "-", "1", *UNIT_OF_WORD)
+
+
+def check_comments(table: TextTable, layout: Layout) -> None:
+    """Refuse comments between the rows that name the columns in another order, as for other rows.
+
+    `table`: after all rows were read.
+    """
+    places = {name: at for at, name in enumerate(layout.columns) if name != IGNORED}
+    for comment, line in table.comments.items():
+        if count_of_pose(re.split(r"[,;\s]+", comment)) < _FEWEST:
+            continue
+        try:
+            other = _titled(table, comment, [], has_clock=False)
+        except InputError:
+            columns: tuple[str, ...] = ()
+        else:
+            columns = layout.columns if other is None else other.columns
+        if not columns or any(places.get(name, at) != at for at, name in enumerate(columns)):
+            raise InputError(
+                f"line {line}: a comment names other columns than those above: {comment[:80]!r}; "
+                f"read both parts apart: head -n {line - 1} {table.path.name} > first.txt; "
+                f"tail -n +{line} {table.path.name} > second.txt"
+            )
 
 
 def with_dates(table: TextTable, layout: Layout) -> Layout:

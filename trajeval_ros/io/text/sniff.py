@@ -88,11 +88,18 @@ def sniff(
         is_filled = len(row) == columns and any(word and number(word) is not None for word in row)
         return is_filled and all(number(row[at]) is not None for at in numeric)
 
-    first = next((at for at in bodies if is_row(row_at(at))), None)
+    below = dict(itertools.pairwise(bodies))
+
+    def is_of_header(at: int) -> bool:  # identifiers of bodies, as `,ID,1,1` and `,,1,1` of Motive
+        is_labelled = row_at(at)[:1] == [""] and at in below
+        return is_labelled and not is_row(row_at(below[at]))
+
+    first = next((at for at in bodies if is_row(row_at(at)) and not is_of_header(at)), None)
     if first is None or not numeric:
         raise InputError(f"{path} is text without a row of numbers; give a file with poses")
     for at in itertools.takewhile(lambda at: at < first, bodies):
-        _check_line_above(f"{path}, line {at + 1}", row_at(at), numeric, columns, bool(names))
+        if not is_of_header(at):
+            _check_line_above(f"{path}, line {at + 1}", row_at(at), numeric, columns, bool(names))
     after = itertools.islice(((at, row_at(at)) for at in bodies if at >= first), _SAMPLE)
     sample = dict(itertools.takewhile(lambda item: len(item[1]) == columns, after))
     values = np.array([[number(word) for word in row] for row in sample.values()], np.float64)
@@ -102,14 +109,13 @@ def sniff(
         ]
     else:
         is_text = [at not in numeric for at in range(columns)]
-    signs = [sign for sign in "#%" if any(sign in line for line in lines)]
     return TextTable(
         path, functools.partial(open_lines, path) if records is None else records.open,
         separator, columns, first,
         header=[line for line in lines[:first] if line.strip()],
         sample=list(sample.values()), sample_lines=list(sample), values=values,
-        texts=np.array(is_text), comment=signs[0] if signs else None,
-        plain=separator != MIXED and not commas and '"' not in lines[first] and len(signs) < 2,
+        texts=np.array(is_text),
+        plain=separator != MIXED and not commas and '"' not in lines[first],
         direct=records is None and is_plain(path), size=path.stat().st_size,
         at_end=at_end, commas=commas, first_line=lines[first].strip()[:80],
         left_out={} if records is None else records.left_out,
@@ -175,8 +181,6 @@ def _check_line_above(
     """Refuse a line above the first row that is a row with damage, not a header."""
     if len(row) > _LONGEST_COUNT and all(number(word) is not None for word in row):
         reason = f"{counted(columns, 'column')} expected, found {len(row)}"
-    elif not row[0] and number(next(filter(None, row), "")) is None:
-        return  # a label and identifiers, as in `,ID,1,1,1` of Motive
     elif (
         not are_named
         and len(row) == columns

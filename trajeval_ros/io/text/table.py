@@ -26,6 +26,7 @@ from trajeval_ros.io.text.stamps import WIDTH, Words
 
 _ROWS = 1 << 13  # rows that are read at once; they fit into the cache
 _LARGE = 1 << 24  # bytes of a file that is read by pyarrow, or by chunks
+_MOST_COMMENTS = 1000  # different ones that are kept; one may name the columns in another order
 MOST_ROWS = 10**8  # a day at 1 kHz; more need tens of gigabytes of memory
 SEPARATORS = (",", ";", "\t", "")  # "" for spaces and tabs
 MIXED = "mixed"  # commas, semicolons, spaces and brackets between numbers, in any number
@@ -61,7 +62,6 @@ class TextTable:
     sample_lines: list[int]  # indices of their lines
     values: Floats  # (N, columns), the sample as numbers, NaN for what is none
     texts: Booleans  # (columns,), whether a column of the sample is text
-    comment: str | None  # sign of comments, None if the first lines have none
     plain: bool  # whether np.loadtxt can read the rows
     direct: bool  # whether np.loadtxt can open the file itself
     size: int  # bytes of the file
@@ -70,6 +70,8 @@ class TextTable:
     first_line: str  # the first row as written, for messages
     # Records that are no rows, by reason; complete after the rows are read.
     left_out: Mapping[str, int]
+    # Comments between the rows with their lines, counted from 1; complete after the rows are read.
+    comments: dict[str, int] = field(default_factory=dict)
 
     @property
     def is_large(self) -> bool:
@@ -153,7 +155,7 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
         kinds = np.dtype(fields + [("end", "S1")] * table.at_end)
         with contextlib.suppress(ValueError, UnicodeError):
             if table.direct and not table.is_large:  # numpy opens the file: 15 % less time
-                parts = [_load(table.path, table, kinds, table.separator, skiprows=table.first)]
+                parts = [_load(table.path, kinds, table.separator, skiprows=table.first)]
                 if advance is not None:
                     advance(table.size, table.size)
             else:
@@ -193,7 +195,7 @@ def _by_arrow(
         from pyarrow import csv
     except ImportError:
         return None
-    types = {str(at): pa.binary() for at in exact.values()}
+    types = {str(at): pa.binary() for at in (0, *exact.values())}  # the first may be a comment
     types |= {str(at): pa.float64() for at in numbers}
     names = list(map(str, range(table.columns)))
     try:
@@ -209,12 +211,15 @@ def _by_arrow(
     except pa.ArrowInvalid:
         return None
     require_rows(table.path, len(content))
-    texts: dict[str, Words | Floats] = {
-        name: np.concatenate([_words(part) for part in content.column(str(at)).chunks])
-        for name, at in exact.items()
+    columns = {
+        at: np.concatenate([_words(part) for part in content.column(str(at)).chunks])
+        for at in {0, *exact.values()} - numbers
     }
-    if any(words.itemsize >= WIDTH for words in texts.values()):
+    if any(words.itemsize >= WIDTH for words in columns.values()) or (
+        0 in columns and _has_comment(columns[0].view(np.uint8)[:: columns[0].itemsize])
+    ):
         return None
+    texts: dict[str, Words | Floats] = {name: columns[at] for name, at in exact.items()}
     groups = {
         group: np.column_stack([_floats(content.column(str(at)).chunks) for at in places])
         for group, places in layout.groups.items()
@@ -247,14 +252,25 @@ def _from_first(table: TextTable, advance: Advance | None) -> Any:
     return lines
 
 
-def _load(
-    source: Any, table: TextTable, dtype: np.dtype[Any], separator: str, **more: Any
-) -> NDArray[np.void]:
+def _load(source: Any, dtype: np.dtype[Any], separator: str, **more: Any) -> NDArray[np.void]:
+    """Return rows without comments; tables with comments are read by `_repaired`.
+
+    Raises:
+        ValueError: A line is no row, or a comment.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # on no data
-        return np.loadtxt(
-            source, dtype, table.comment, separator or None, encoding="latin-1", ndmin=1, **more
+        rows = np.loadtxt(
+            source, dtype, None, separator or None, encoding="latin-1", ndmin=1, **more
         )
+    if dtype[0].kind == "S" and _has_comment(rows.view(np.uint8)[:: dtype.itemsize]):
+        raise ValueError("a comment")
+    return rows
+
+
+def _has_comment(letters: NDArray[np.uint8]) -> bool:
+    """Return whether one of N lines is a comment, by their first letters."""
+    return bool(((letters == ord("#")) | (letters == ord("%"))).any())
 
 
 def _by_chunks(
@@ -263,7 +279,7 @@ def _by_chunks(
     parts: list[NDArray[np.void]] = []
     with contextlib.closing(lines):
         while not parts or len(parts[-1]) == _ROWS:
-            parts.append(_load(lines, table, dtype, separator, max_rows=_ROWS))
+            parts.append(_load(lines, dtype, separator, max_rows=_ROWS))
             require_rows(table.path, _ROWS * (len(parts) - 1) + len(parts[-1]))
     return parts
 
@@ -288,8 +304,10 @@ def _repaired(
     lines = _from_first(table, advance)
     with contextlib.closing(lines):
         for index, line in enumerate(lines, table.first + 1):
-            body = body_of(line)
-            if not body.strip() or line.strip() in above:
+            body, whole = body_of(line), line.strip()
+            if not body.strip() or whole in above:
+                if whole not in above and len(table.comments) < _MOST_COMMENTS:
+                    table.comments.setdefault(whole, index)
                 continue
             where = f"{table.path}, line {index}"
             body = body.replace(",", ".") if table.commas else body

@@ -18,25 +18,30 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.geometry.source_info import FRAMES_FROM_1
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.text.header_words import name_and_unit, split_header
 from trajeval_ros.io.text.names import (
     AS_NAMED,
     CLOCK,
     DATE,
     FRAME,
     FRAME_1,
+    PARTS,
     RECEIVED,
     TIME_UNITS,
     UNITS,
     UNPADDED,
+    WEEK,
     Layout,
 )
 from trajeval_ros.io.text.numpy_files import files_of_times, load
 from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import (
     WIDTH,
+    are_clock_digits,
     are_parts,
     dates,
     exact,
+    likely_name,
     to_stamps,
     unit_of,
     unpadded,
@@ -45,7 +50,7 @@ from trajeval_ros.io.text.table import Rows, number, read_rows
 from trajeval_ros.metrics.statistics import median
 
 ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
-_FRAMES = 10**8  # limit of frame numbers
+_FRAMES = 10**8  # limit of frame numbers, and of times that count from zero
 _TIMES = Layout("times", ("t",))  # of a file next to the poses
 # Names of columns of times and their units, as messages name them.
 _WORDS = {
@@ -105,6 +110,12 @@ def times_of(
     name, is_inferred = layout.time_name, UNITS[layout.time_name] is None
     if is_inferred:
         name = next(name for name in _WORDS if UNITS[name] == unit)
+        if are_clock_digits(stamps, unit):
+            raise InputError(
+                "its times are followed by those of the next minute as hhmmss are: the last two "
+                f"digits before the point are below 60; if so, use {{option}} "
+                f"'{layout.named(DATE)}', or {{option}} '{layout.named(name)}' if not"
+            )
     is_noted = unit == 1 or (is_inferred and unit != NANOSECONDS)
     word = next(word for name, word in _WORDS.items() if UNITS[name] == unit)
     remarks = (note("nanoseconds", f"timestamps are in {word}"),) if is_noted else ()
@@ -153,11 +164,18 @@ def _unit(layout: Layout, values: Floats, times: Any) -> int:
     if unit is not None:
         return unit
     largest, letters = np.abs(values).max(), _letters(values)
+    step = median(np.abs(np.diff(values))) if len(values) > 1 else 0.0
+    if step < 1.0 and largest < _FRAMES:
+        raise InputError(
+            f"its timestamps have steps of {step:.1g}, too short for seconds, as those of days "
+            "(MATLAB, Excel) have; convert them to seconds, or use "
+            f"{{option}} '{layout.named('t_s')}' if they are"
+        )
     key = f", but keys of GTSAM ({letters[0]}0, {letters[0]}1 ...)" if len(letters) == 1 else ""
-    name = FRAME if key else "t_us" if largest > 1e13 else "t_ms"
+    name = FRAME if key else likely_name(values)
     raise InputError(
-        f"its timestamps (up to {largest:.6g}) are neither times since 1970 nor seconds{key}; "
-        f"name the unit: {{option}} '{layout.named(name)}'"
+        f"its timestamps (up to {largest:.6g}, in steps of {step:.6g}) are neither times since "
+        f"1970 nor seconds{key}; name the unit: {{option}} '{layout.named(name)}'"
         + ("" if key else " (or t_ms, t_us, t_ns, t_s)")
     )
 
@@ -166,12 +184,7 @@ def _is_unpadded(stamps: Stamps, times: Any) -> bool:
     """Return whether times go forward only if their decimals are numbers of nanoseconds."""
     if times.dtype.kind != "S" or not (np.diff(stamps) < 0).any():
         return False
-    letters = np.ascontiguousarray(times).view(np.uint8).reshape(len(times), -1)
-    points = letters == ord(".")
-    are_digits = ((letters >= ord("0")) & (letters <= ord("9"))) | (letters == 0)  # 0: no letter
-    if not ((are_digits | points).all() and (points.sum(axis=1) == 1).all()):
-        return False
-    with contextlib.suppress(ValueError):
+    with contextlib.suppress(ValueError):  # of words with other letters
         return bool((np.diff(unpadded(times)) > 0).all())
     return False
 
@@ -223,7 +236,8 @@ def _of_frames(
     )
     can_have_times = "matrix" in layout.groups or layout.name in _NUMBERED
     for beside in files_of_times(origin) if origin is not None and can_have_times else ():
-        times = times_of(beside, _TIMES, _rows_of_times(beside), None, None).stamps
+        of_times, column = _rows_of_times(beside)
+        times = times_of(beside, of_times, column, None, None).stamps
         numbers = frames
         if has_numbers and first >= 1 and frames.max(initial=0) == len(times):
             numbers = frames - 1
@@ -234,6 +248,8 @@ def _of_frames(
                 f"{if_first}"
             )
         if numbers.max(initial=0) < len(times) if has_numbers else len(times) == len(frames):
+            if of_times is _TIMES:
+                _check_unit(beside, times)
             source = note("times_file", f"timestamps read from {beside}")
             return Times(times[numbers], frames, True, None, (*remarks, source))
         counts = f"{counted(len(times), 'row')} for {counted(len(frames), 'pose')}"
@@ -264,49 +280,67 @@ def _counts_frames(layout: Layout, stamps: Stamps, origin: Path | None) -> bool:
     return bool(len(steps) and 0 < steps.min() == steps.max() and files_of_times(origin))
 
 
-def _rows_of_times(path: Path) -> Rows:
-    """Return the rows of a file with one time per line, or of an array."""
+def _check_unit(path: Path, stamps: Stamps) -> None:
+    """Refuse times without a unit that can be seconds or milliseconds: whole ones, far apart."""
+    step_s = median(np.abs(np.diff(stamps))) / NANOSECONDS if len(stamps) > 1 else 0.0
+    if step_s > 1.0 and stamps.max() < _FRAMES * NANOSECONDS and not (stamps % NANOSECONDS).any():
+        raise InputError(
+            f"{path} has whole numbers in steps of {step_s:g}, seconds or milliseconds; write "
+            f"their unit above them: sed -i '1i t_ms' {path} (or t_s)"
+        )
+
+
+def _rows_of_times(path: Path) -> tuple[Layout, Rows]:
+    """Return the rows of a file with one time per line, or of an array, and their layout."""
     if path.suffix == ".npy":
         times = load(path)[0]
-        return Rows(len(times), {"t": times.astype(np.float64)}, {})
+        return _TIMES, Rows(len(times), {"t": times.astype(np.float64)}, {})
     table = sniff(path)
     if table.columns != 1:
         raise InputError(f"{path} has {table.columns} columns, expected one time per line")
-    return read_rows(table, _TIMES)
+    header = "_".join(split_header(" ".join(table.header[-1:]), ""))
+    unit = name_and_unit(header)[1]
+    layout = _TIMES.with_columns([f"t_{unit}"]) if unit in TIME_UNITS else _TIMES
+    return layout, read_rows(table, layout)
 
 
 def with_times(
     layout: Layout, rows: Rows, path: Path, times: Floats | None
 ) -> tuple[Layout, Rows]:
     """Add the column of times, or of frame numbers, that an array or a file next to it has."""
-    source = "the same file"
+    source, name = "the same file", "t"
     if times is None:
         source = next(map(str, files_of_times(path)), "")
         if not source:
             return layout, rows
-        times = _floats(Path(source), _rows_of_times(Path(source)).texts["t"])
+        known, column = _rows_of_times(Path(source))
+        times, name = _floats(Path(source), column.texts[known.time_name]), known.time_name
     if times.shape != (rows.count,):
         raise InputError(
             f"{source} has shape {times.shape} for {counted(rows.count, 'pose')}; "
             "give one time per pose, or remove it"
         )
     counts_frames = (times == np.round(times)).all() and np.abs(times).max(initial=0.0) < 1e7
-    columns = (FRAME if counts_frames else "t", *layout.columns)
+    columns = (FRAME if name == "t" and counts_frames else name, *layout.columns)
     text = "; ".join(filter(None, (layout.note, f"times read from {source}")))
     layout = dataclasses.replace(layout, columns=columns, note=text)
     return layout, dataclasses.replace(rows, texts={**rows.texts, layout.time_name: times})
 
 
-def parts_of_seconds(path: Path, column: Floats, unit: str) -> Stamps:
-    """Return the parts of whole seconds (N,) in nanoseconds, exact; `unit`: one of `PARTS`."""
-    right = are_parts(column, unit)
+def part_of_times(path: Path, column: Floats, name: str) -> Stamps:
+    """Return a part of times (N,) in nanoseconds, exact: of whole seconds, or the week of GPS.
+
+    `name`: one of `PARTS`. The week is 0 if all rows have the same.
+    """
+    right = are_parts(column, name)
     if not right.all():
         row = int(np.argmin(right))
         raise InputError(
-            f"{path}: row {row + 1} has {column[row]:g} {_WORDS[f't_{unit}']} after its seconds, "
-            f"expected 0 to {NANOSECONDS // TIME_UNITS[unit] - 1}; correct or remove the row"
+            f"{path}: row {row + 1} has {column[row]:g} in column {name}, expected 0 to "
+            f"{PARTS[name][1] - 1}; correct or remove the row"
         )
-    return column.astype(np.int64) * TIME_UNITS[unit]
+    parts = column.astype(np.int64) * PARTS[name][0]
+    return parts * (name != WEEK or (parts != parts[:1]).any())
 
 
 def receive_times_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes:
