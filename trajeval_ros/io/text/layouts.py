@@ -283,8 +283,7 @@ def by_rows(table: TextTable) -> Layout:
 
 def _by_unit_of_time(table: TextTable) -> Layout:
     """Return the layout of eight columns with commas: position and time are the same in both."""
-    times = table.values[np.isfinite(table.values[:, 0]), 0]
-    is_euroc = unit_of(times, bool((times == np.round(times)).all())) == 1  # nanoseconds
+    is_euroc = unit_of(table.values[np.isfinite(table.values[:, 0]), 0]) == 1  # nanoseconds
     order, system = ("qw qx qy qz", "EuRoC") if is_euroc else ("qx qy qz qw", "TUM")
     layout = _EUROC_POSES if is_euroc else _TUM_COMMAS
     doubt = f"no header with the order of the quaternion: assumed {order}, as in {system}"

@@ -128,12 +128,7 @@ def _titled(table: TextTable, line: str, above: list[str], has_clock: bool) -> L
                 f"{name} [{unit}]" if unit else name
                 for name, unit in zip(more, names, strict=False)
             ]
-    layout = from_header(names, table)
-    if layout is None:
-        return None
-    if line.lstrip("# ").startswith("fields "):
-        layout = dataclasses.replace(layout, name="trajectopy")
-    return layout
+    return from_header(names, table)
 
 
 def _is_unit(word: str) -> bool:

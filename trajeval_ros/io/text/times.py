@@ -88,13 +88,13 @@ def times_of(
         sample = times[:200].astype(np.float64)
         if not np.isfinite(sample).all():
             raise ValueError
-        unit = _unit(layout, sample, times)
+        unit = _unit(layout, sample)
         stamps = to_stamps(times, sample, unit)
     except (ValueError, OverflowError):  # a time is missing or out of range
         values = _floats(path, times)
         kept = np.isfinite(values)
         times = np.char.strip(times[kept]) if times.dtype.kind == "S" else times[kept]
-        unit = _unit(layout, values[kept], times)
+        unit = _unit(layout, values[kept])
         stamps = to_stamps(times, values[kept], unit)
     if _counts_frames(layout, stamps, origin):
         numbered = _of_frames(layout, stamps // NANOSECONDS, (), rate, origin)
@@ -154,13 +154,9 @@ def _floats(path: Path, times: Any) -> Floats:
     return values
 
 
-def _unit(layout: Layout, values: Floats, times: Any) -> int:
+def _unit(layout: Layout, values: Floats) -> int:
     """Return the nanoseconds per unit of time that the name has or the values show."""
-    named = UNITS.get(layout.time_name, NANOSECONDS)
-    if named is not None:
-        return named
-    is_whole = times.dtype.kind == "S" and b"." not in times[:1].tobytes()
-    unit = unit_of(values, is_whole or bool((values == np.round(values)).all()))
+    unit = UNITS.get(layout.time_name, NANOSECONDS) or unit_of(values)
     if unit is not None:
         return unit
     largest, letters = np.abs(values).max(), _letters(values)
