@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from comparison_runs import compare
 
 from trajeval_ros import simulate
 from trajeval_ros.cli.app import main
@@ -47,8 +48,7 @@ def test_changed_ranks_are_marked_and_gates_test_the_numbers(
 ) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     output = tmp_path / "out"
-    arguments = ["compare", "--figures", "0", str(config), "--output", str(output)]
-    assert main(arguments) == 0
+    assert compare(config, output=output) == 0
     text = capsys.readouterr().out
     assert "As-available error [m], RMSE" in text
     assert text.count("ATE: 1") == 1
@@ -59,9 +59,9 @@ def test_changed_ranks_are_marked_and_gates_test_the_numbers(
     (output / "runs.parquet").rename(baseline)
     gate = ["--baseline", str(baseline), "--fail-if"]
     number = "as_available.age_error_m.rmse worse than 10 % untested"
-    assert main([*arguments, *gate, number]) == 0
+    assert compare(config, *gate, number, output=output) == 0
     write(config.with_name("prompt_flight.csv"), TRUTH[::10], 0.05, 0.05)
-    assert main([*arguments, *gate, number]) == 1
+    assert compare(config, *gate, number, output=output) == 1
 
 
 def test_requirements_of_one_run(config: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from comparison_runs import here, write_run, write_runs
+from comparison_runs import compare, here, write_run, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -129,7 +129,7 @@ def test_failed_and_missing_runs_stay_and_are_worse_than_all(
     (tmp_path / "good" / "yard_trial2.txt").unlink()
     (tmp_path / "good" / "hall_trial1.txt").write_text("")
     out = tmp_path / "out"
-    assert main(["compare", str(config), "--workers", "1", "--output", str(out)]) == 0
+    assert compare(config, output=out) == 0
     told = capsys.readouterr()
     assert "warning: good yard 2 missing: " in told.err
     assert "warning: good yard 0 failed:" in told.err

@@ -158,7 +158,7 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
         (today / "good" / f"yard_trial{trial}.txt").write_text("nothing\n")
     shutil.rmtree(today / "old")
     old = str(yesterday / "old" / "runs.parquet")
-    gate = ["--workers", "1", "--baseline", old, "--fail-if", GATE]
+    gate = ["--baseline", old, "--fail-if", GATE]
     assert compare(today / "runs.yaml", *gate, output=today / "old") == 1
     printed = capsys.readouterr().out
     text = (today / "old" / "gates.md").read_text()
@@ -188,27 +188,26 @@ def test_a_gate_that_cannot_fail_is_an_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sequences = ["hall", "yard", "attic", "cellar"]
-    config = str(write_runs(tmp_path, sequences, ["good"], trials=1))
-    common = ["compare", "--figures", "0", config, "--workers", "1", "--quiet", "--output"]
-    assert main([*common, str(tmp_path / "old")]) == 0
+    config, new = write_runs(tmp_path, sequences, ["good"], trials=1), tmp_path / "new"
+    assert compare(config, "-q", output=tmp_path / "old") == 0
     for sequence in sequences:
         write_run(tmp_path / "good" / f"{sequence}_trial0.txt", 1.5)
     gate = ["--baseline", str(tmp_path / "old" / "runs.parquet"), "--fail-if", GATE]
     capsys.readouterr()
     for given in [], ["--undecided", "fail"]:
-        assert main([*common, str(tmp_path / "new"), *gate, *given]) == 2
+        assert compare(config, "-q", *gate, *given, output=new) == 2
         error = capsys.readouterr().err
         assert f"the gate '{GATE}' cannot fail: 4 values with so few trials" in error
         assert "use 2 trials on both sides, or 1 more per value now" in error
-        assert ": inconclusive" in (tmp_path / "new" / "gates.md").read_text()
-    assert main([*common, str(tmp_path / "new"), *gate, "--undecided", "pass"]) == 0
+        assert ": inconclusive" in (new / "gates.md").read_text()
+    assert compare(config, "-q", *gate, "--undecided", "pass", output=new) == 0
     # What the message advises is enough.
     write_runs(tmp_path, sequences, ["good"], trials=2)
-    assert main([*common, str(tmp_path / "old")]) == 0
+    assert compare(config, "-q", output=tmp_path / "old") == 0
     for sequence in sequences:
         for trial in range(2):
             write_run(tmp_path / "good" / f"{sequence}_trial{trial}.txt", 1.5 + 0.01 * trial)
-    assert main([*common, str(tmp_path / "new"), *gate]) == 1
+    assert compare(config, "-q", *gate, output=new) == 1
 
 
 def test_what_is_gone_or_new_is_told(today: Path, yesterday: Path) -> None:
@@ -233,10 +232,10 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
         write_run(today / "good" / f"yard_trial{trial}.txt", 1.05 + 0.001 * trial)
     arguments = [today / "runs.yaml", "-q"]
     gate = ["--baseline", str(today / "old" / "runs.parquet"), "--fail-if", GATE]
-    assert compare(*arguments, "--workers", "1", *gate, output=today / "old") == 1
-    assert compare(*arguments, "--workers", "1", *gate, output=today / "old") == 0
+    assert compare(*arguments, *gate, output=today / "old") == 1
+    assert compare(*arguments, *gate, output=today / "old") == 0
     for more, is_paired in (["--paired"], True), ([], False):
-        assert compare(*arguments, "--workers", "1", *gate, *more, output=today / "old") == 0
+        assert compare(*arguments, *gate, *more, output=today / "old") == 0
         (result,) = json.loads((today / "old" / "gates.json").read_text())["gates"]
         assert (result["paired"], result["verdict"] == "no worse") == (is_paired, is_paired)
 

@@ -212,7 +212,7 @@ def test_a_file_that_is_listed_and_not_there_is_a_failed_run(
 ) -> None:
     write_runs(tmp_path)
     path = write_manifest(tmp_path / "runs.csv", [*ROWS, ["bad", "hall", "2", "x.txt", "y.txt"]])
-    assert compare(path, "--workers", "1", output=tmp_path / "out") == 0
+    assert compare(path, output=tmp_path / "out") == 0
     text = capsys.readouterr()
     assert "8 runs evaluated, 1 failed or missing; report.html" in text.out
     assert f"warning: bad hall 2 failed: {tmp_path}/x.txt does not exist" in text.err
@@ -224,7 +224,7 @@ def test_a_comparison_without_any_number_is_an_error_with_a_report(
     rows = [["vio", "hall", trial, "x.txt", "y.txt"] for trial in "01"]
     path, out = write_manifest(tmp_path / "runs.csv", rows), tmp_path / "out"
     for _ in range(2):  # also if nothing has changed since
-        assert compare(path, "--workers", "1", "-q", output=out) == 2
+        assert compare(path, "-q", output=out) == 2
         (line,) = capsys.readouterr().err.splitlines()
         first = f"all runs failed or are missing, first vio hall 0 failed: {tmp_path}/x.txt does"
         assert line.startswith(f"trajeval: {first}")

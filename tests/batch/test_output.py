@@ -12,6 +12,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import comparison_runs
 import pytest
 from comparison_runs import here, write_run, write_runs
 from waiting import PATIENCE_S, until
@@ -28,19 +29,17 @@ from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.comparison_report import is_drawn
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.finished_comparison import POOLED_FILE, REPORT, RUNS
+from trajeval_ros.batch.planned_figures import FigureChoice
 from trajeval_ros.batch.results_table import read_pooled
-from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.bag import Bag
 
+NO_FIGURES = FigureChoice(0)
 posix = pytest.mark.skipif(os.name != "posix", reason="there are no locks of files")
 
 
 def compare(config: Path, *options: str) -> int:
-    out = config.parent / "out"
-    return main(
-        ["compare", str(config), "--workers", "1", "--quiet", "--output", str(out), *options]
-    )
+    return comparison_runs.compare(config, *options, output=config.parent / "out")
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -53,7 +52,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("finished")
     config = write_runs(folder, ["hall"], trials=1)
-    assert compare(config) == 0
+    assert compare(config, "-q") == 0
     (folder / "out").rename(folder / "kept")
     return config
 
@@ -74,7 +73,7 @@ def test_a_second_comparison_is_refused_and_names_the_first(
     out = config.parent / "out"
     with only_writer(out):
         before = contents(out)
-        assert compare(config) == 2
+        assert compare(config, "-q") == 2
         text = capsys.readouterr().err
         assert contents(out) == before
     assert text == (
@@ -92,7 +91,7 @@ def test_with_wait_it_comes_after_the_first(
     (out / "tables.md").unlink()
     held, told = only_writer(out), threading.Event()
     held.__enter__()
-    second = threading.Thread(target=lambda: compare(config, "--wait"))
+    second = threading.Thread(target=lambda: compare(config, "-q", "--wait"))
     lock = compare_runs.lock
 
     def telling(file: int, *, wait: bool) -> bool:
@@ -137,7 +136,7 @@ def test_a_killed_comparison_holds_nothing(config: Path) -> None:
         process.send_signal(signal.SIGKILL)
         process.wait()
     assert (out / LOCK).exists()
-    assert compare(config) == 0
+    assert compare(config, "-q") == 0
     assert not [path for path in out.rglob("*") if path.name.startswith(".")]
 
 
@@ -145,7 +144,7 @@ def test_what_was_deleted_or_changed_is_written_again(config: Path) -> None:
     out = config.parent / "out"
     whole = contents(out)
     stamps = {name: (out / name).stat().st_mtime_ns for name in whole}
-    assert compare(config) == 0
+    assert compare(config, "-q") == 0
     assert {name: (out / name).stat().st_mtime_ns for name in whole} == stamps
     tables = [name for name in whole if name.endswith((".md", ".tex", ".csv"))]
     assert len(tables) > 4
@@ -153,11 +152,11 @@ def test_what_was_deleted_or_changed_is_written_again(config: Path) -> None:
         (out / name).unlink()
     for name in tables[1::2]:
         (out / name).write_text("half")
-    assert compare(config) == 0
+    assert compare(config, "-q") == 0
     assert contents(out) == whole
     for name in (RUNS, POOLED_FILE, REPORT):
         (out / name).unlink()
-        assert compare(config) == 0
+        assert compare(config, "-q") == 0
         assert contents(out) == whole, name
 
 
@@ -180,12 +179,12 @@ def test_a_report_of_other_tables_is_drawn_again_whatever_the_clock_says(config:
     out = config.parent / "out"
     future = 4 * 10**9
     os.utime(out / REPORT, (future, future))
-    assert is_drawn(out)
+    assert is_drawn(out, NO_FIGURES)
     run_plan(plan_of(config, {"gauge": "yaw"}), out, here)
-    assert not is_drawn(out)
+    assert not is_drawn(out, NO_FIGURES)
     os.utime(out / REPORT, (0, 0))
     run_plan(plan_of(config, {}), out, here)
-    assert is_drawn(out)
+    assert is_drawn(out, NO_FIGURES)
 
 
 def test_verdicts_about_other_tables_do_not_stay(config: Path, tmp_path: Path) -> None:
@@ -194,8 +193,8 @@ def test_verdicts_about_other_tables_do_not_stay(config: Path, tmp_path: Path) -
     shutil.copy(out / RUNS, baseline)
     gate = ["--baseline", str(baseline), "--fail-if", "ate.position_m.rmse worse than 50 %"]
     gate += ["--undecided", "pass"]
-    assert compare(config, *gate) == 0
-    assert compare(config) == 0
+    assert compare(config, "-q", *gate) == 0
+    assert compare(config, "-q") == 0
     names = ["gates.json", "gates.md"]
     assert sorted(path.name for path in out.glob("gates.*")) == names
     run_plan(plan_of(config, {"gauge": "yaw"}), out, here)
@@ -261,7 +260,7 @@ def test_where_nobody_can_write_a_finished_comparison_is_shown(
     access = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK and access(path, mode))
     whole = contents(out)
-    assert main(["compare", str(config), "--output", str(out)]) == 0
+    assert compare(config) == 0
     assert "unchanged" in capsys.readouterr().out
     assert contents(out) == whole
 

@@ -154,7 +154,7 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
     out = tmp_path / "out"
     command = [
         sys.executable, "-m", "trajeval_ros", "compare", str(config), "--workers", "2",
-        "--output", str(out), "--quiet",
+        "--figures", "0", "--output", str(out), "--quiet",
     ]  # fmt: skip
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, env=environment, text=True)

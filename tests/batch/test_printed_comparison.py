@@ -6,10 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
-from comparison_runs import write_run, write_runs
+from comparison_runs import compare, write_run, write_runs
 from kept import assert_kept
-
-from trajeval_ros.cli.app import main
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -30,7 +28,7 @@ def test_a_comparison_prints_and_writes_what_it_did(
     write_runs(Path())
     write_run(Path("bad/yard_trial1.txt"), 1.1, count=150, seconds=10.0)
     Path("bad/hall_trial1.txt").unlink()
-    assert main(["compare", "runs.yaml", "--output", "out", "--workers", "1"]) == 0
+    assert compare("runs.yaml", figures=2, output=Path("out")) == 0
     written = ["out/tables.md", "out/tables.tex", "out/report.html"]
     texts = [without_style(Path(item).read_text(encoding="utf-8")) for item in written]
     assert_kept("comparison", "\n".join([*capsys.readouterr(), *texts]))
@@ -40,14 +38,13 @@ def test_gates_print_what_they_did(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    common = ["runs.yaml", "--workers", "1", "--figures", "0", "--quiet"]
     write_runs(Path(), ["hall"], ["good"], trials=6)
-    assert main(["compare", *common, "--output", "old"]) == 0
+    assert compare("runs.yaml", "-q", output=Path("old")) == 0
     for trial in range(6):
         write_run(Path(f"good/hall_trial{trial}.txt"), 1.02 + 0.001 * trial)
     gates = ["--fail-if", "ate.position_m.rmse worse than 5 %", "--fail-if", "re.8m.position_"
              "percent.mean worse than 5 %", "--baseline", "old/runs.parquet"]  # fmt: skip
-    assert main(["compare", *common, *gates, "--output", "new"]) == 1
+    assert compare("runs.yaml", "-q", *gates, output=Path("new")) == 1
     written = ["new/gates.md", "new/gates.json"]
     texts = [Path(item).read_text(encoding="utf-8") for item in written]
     text = "\n".join([*capsys.readouterr(), *texts])

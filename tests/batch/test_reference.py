@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rpg_toolbox import METRICS, SLIPPED
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
@@ -102,73 +101,28 @@ def test_every_number_is_that_of_a_single_evaluation(
                 assert row[name] == pytest.approx(value, rel=1e-12, abs=1e-15), name
 
 
-@pytest.mark.parametrize(
-    ("settings", "key", "scale"),
-    [
-        ({"gauge": "sim3"}, "sim3_-1", "scale_from_sim3_-1"),
-        ({"gauge": "se3"}, "se3_-1", "scale_1"),
-        ({"gauge": "yaw", "lengths": "none"}, "posyaw_-1", None),
-        ({"gauge": "none", "lengths": "none"}, "none_-1", None),
-        ({"gauge": "se3", "align_states": "1", "lengths": "none"}, "se3_1", None),
-        ({"gauge": "yaw", "align_states": "1", "lengths": "none"}, "posyaw_1", None),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_every_number_is_the_toolboxs(
-    settings: dict[str, str],
-    key: str,
-    scale: str | None,
-    compared: Compared,
-    reference: Callable[[str], Any],
+def test_statistics_over_trials_are_the_toolboxs(
+    compared: Compared, reference: Callable[[str], Any]
 ) -> None:
-    folder = compared(protocol="rpg", **settings)
-    numbers = reference("rpg_toolbox")
-    for name, rows in rows_by_run(folder).items():
-        pair = numbers["pairs"][name]
-        theirs = pair["align"][key]
-        absolute = {row["metric"]: row for row in rows if row["kind"] == "ate"}
-        assert_statistics(absolute["position_m"], theirs["trans_m"], 1e-8, 1e-10)
-        assert_statistics(absolute["rotation_deg"], theirs["rot_deg"], 1e-7, 1e-9)
-        if scale is not None:
-            assert_relative(name, rows, pair["rel"][scale], scale == "scale_1", numbers)
+    """Those of single runs are, in tests/system/test_rpg_reference.py."""
+    folder = compared(protocol="rpg", gauge="sim3", lengths="none")
     pooled = {
         (row["algorithm"], row["sequence"], row["metric"]): row
         for row in read_pooled(folder / POOLED_FILE)
         if row["kind"] == "ate"
     }
-    assert len(numbers["multi_trial"]) > 0
-    for name, multi in numbers["multi_trial"].items():
+    expected = reference("rpg_toolbox")["multi_trial"]
+    assert len(expected) > 0
+    for name, multi in expected.items():
         algorithm, sequence = "vislam_ba", name.removeprefix("vislam_ba_")
         for metric, actual, relative in (
             ("trans_m", "position_m", 1e-8),
             ("rot_deg", "rotation_deg", 1e-7),
         ):
             row = pooled[algorithm, sequence, actual]
-            theirs = multi["stats_of_rmse_over_trials"][f"{key}|{metric}"]
+            theirs = multi["stats_of_rmse_over_trials"][f"sim3_-1|{metric}"]
             assert row["trials"] == row["evaluated"] == multi["n_trials"]
             assert_statistics(row, theirs, relative, 1e-9)
-
-
-def assert_relative(
-    name: str,
-    rows: list[dict[str, Any]],
-    theirs: dict[str, Any],
-    unscaled: bool,
-    numbers: dict[str, Any],
-) -> None:
-    lengths = {row["length_m"]: row["length"] for row in rows if row["kind"] == "re"}
-    assert sorted(lengths) == pytest.approx([float(their) for their in theirs], rel=1e-12)
-    for length_m, label in lengths.items():
-        (length,) = (their for their in theirs if abs(float(their) - length_m) < 1e-9)
-        expected = theirs[length]
-        if (name, length) == SLIPPED:
-            expected = dict(numbers["dropped_index_case"]["corrected"])
-            if not unscaled:
-                del expected["trans_m"]
-        actual = {row["metric"]: row for row in rows if row["length"] == label}
-        for metric, statistics in expected.items():
-            absolute = 1e-9 if "deg" in metric else 1e-10
-            assert_statistics(actual[METRICS[metric]], statistics, 1e-8, absolute)
 
 
 def assert_statistics(

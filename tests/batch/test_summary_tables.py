@@ -110,7 +110,7 @@ def test_the_coverage_in_a_footnote_is_that_of_its_column() -> None:
 def test_kitti_has_the_tables_of_its_benchmark(shared_data: Path, tmp_path: Path) -> None:
     folder, out = shared_data / "kitti_odom_eval", tmp_path / "out"
     sources = [str(folder / f"09_{item}.txt") for item in ("groundtruth", "frame_index")]
-    given = ["--protocol", "kitti", "--gauge", "sim3", "--workers", "1", "--quiet"]
+    given = ["--protocol", "kitti", "--gauge", "sim3", "--quiet"]
     assert compare(*sources, *given, output=out) == 0
     # By the tool of that folder, 7dof.
     for name, expected in (("kitti_percent", 2.884113), ("kitti_deg_per_100m", 0.249056)):

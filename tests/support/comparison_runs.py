@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from trajeval_ros.batch import executors
 from trajeval_ros.batch.executors import Pool
 from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.cli.app import main
@@ -57,9 +59,12 @@ def write_runs(
     return config
 
 
-def compare(*words: object, output: Path) -> int:
-    """Run `trajeval compare` without figures, which take most of the time of small runs."""
-    return main(["compare", *map(str, words), "--figures", "0", "--output", str(output)])
+def compare(*words: object, output: Path, figures: int = 0) -> int:
+    """Run `trajeval compare` without processes, which start slowly, and with few figures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(executors, "local_pool", lambda _: here())
+        options = ["--figures", str(figures), "--output", str(output)]
+        return main(["compare", *map(str, words), *options])
 
 
 def here() -> Pool:
