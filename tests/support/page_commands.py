@@ -13,11 +13,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from comparison_runs import compare
 from paths import ROOT, TESTS
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE_S
 
-from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.save_trajectories import save_trajectories
@@ -175,7 +175,7 @@ def make_files(folder: Path) -> None:
     ]
     (folder / "runs.csv").write_text("\n".join(listed))
     made = folder / "made"
-    assert main(["compare", str(folder / "euroc.yaml"), "--output", str(made), "--quiet"]) == 0
+    assert compare(folder / "euroc.yaml", "--quiet", output=made) == 0
     (made / "runs.parquet").rename(folder / "main.parquet")
     shutil.rmtree(made)
     (folder / "marker.yaml").write_text(

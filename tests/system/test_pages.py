@@ -6,10 +6,12 @@ import re
 import shlex
 import statistics
 import subprocess
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from comparison_runs import here
 from page_commands import (
     NOT_RUN,
     ROOT,
@@ -23,7 +25,10 @@ from page_commands import (
 )
 from prose import WIDTH, length, sentences, wrapped
 
-from trajeval_ros.cli.app import VERBS, verb
+from trajeval_ros.batch import executors, planned_figures
+from trajeval_ros.batch.planned_figures import FigureChoice
+from trajeval_ros.cli.app import VERBS, main, verb
+from trajeval_ros.report import figures
 
 LONGEST, MEDIAN, README_WORDS = 35, 16, 1500
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in pages()}
@@ -168,22 +173,47 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # What a command ends with, where that isn't 0.
 STATUS = {"--fail-on": (0, 1), "--fail-if": (0, 1)}
+# A process takes a second to start, so commands without a pipe and the like run in this one.
+FOR_A_SHELL = re.compile(r"[|<>;&$*?~{]")
+
+
+def _run_here(command: str, capsys: pytest.CaptureFixture[str], allowed: Sequence[int]) -> str:
+    """Run a command of `trajeval` in this process, and return what it prints."""
+    status = main(shlex.split(command, comments=True)[1:])
+    message = "".join(capsys.readouterr())
+    assert status in allowed, f"{command}\n{message}"
+    return message
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, typed in RUN.items() if typed])
-def test_commands_run_as_they_stand(name: str, files: Path, tmp_path: Path) -> None:
+def test_commands_run_as_they_stand(
+    name: str,
+    files: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """One after the other, in a folder with the files that they name; they print what is shown."""
     for package in ("matplotlib", "pyarrow", "jinja2"):
         pytest.importorskip(package, reason=f"{package} is missing")
     folder = tmp_path / "work"
     subprocess.run(["cp", "-r", str(files), str(folder)], check=True)
     environment = environment_with_programs(tmp_path / "bin")
+    monkeypatch.chdir(folder)
+    # Workers of comparisons start slowly, and figures of all runs take most of the time.
+    monkeypatch.setattr(executors, "local_pool", lambda _: here())
+    monkeypatch.setattr(planned_figures, "FigureChoice", lambda _, kinds: FigureChoice(1, kinds))
+    if name != "docs/figures.md":
+        monkeypatch.setattr(figures, "outcome_drawings", lambda _: {})
     printed = {}
     assert len(RUN[name]) > 0
     for command in RUN[name]:
         allowed = next((item for word, item in STATUS.items() if word in command), (0,))
-        printed[command] = typed(command, folder, environment, allowed)
+        if command.startswith("trajeval ") and not FOR_A_SHELL.search(command):
+            printed[command] = _run_here(command, capsys, allowed)
+        else:
+            printed[command] = typed(command, folder, environment, allowed)
     for shown_after, lines in outputs(PAGES[name]):
         result = "".join(printed.get(command, "") for command in shown_after)
         assert not result or not [line for line in lines if line not in result], result
