@@ -73,6 +73,12 @@ def recording(shared_data: Path) -> Callable[[str], Trajectory]:
     return read
 
 
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let evaluations draw no figures, which take most of the time of small runs."""
+    monkeypatch.setattr("trajeval_ros.report.figures.outcome_drawings", lambda _: {})
+
+
 @pytest.fixture(scope="session")
 def kept_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of runs of which outputs are kept."""

@@ -105,6 +105,7 @@ def test_a_recording_alone_is_evaluated_and_every_choice_is_stated(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize(
     ("topics", "count"),
     [

@@ -212,6 +212,7 @@ def test_a_comparison_replaces_only_results_of_a_comparison(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize(
     "name", ["result.json", "errors.npz", "errors.parquet", "absolute_error.png"]
 )
@@ -229,6 +230,7 @@ def test_an_evaluation_replaces_only_results_of_an_evaluation(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
 def test_an_evaluation_replaces_what_an_interrupted_one_has_left(
     pair: list[str], tmp_path: Path
 ) -> None:

@@ -29,7 +29,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.simulation.drifting_odometry import simulate
 from trajeval_ros.viewer import stream as drawing
 from trajeval_ros.viewer.live_scene import LiveScene
-from trajeval_ros.viewer.sinks import sinks_for
+from trajeval_ros.viewer.sinks import FileTarget, sinks_for
 from trajeval_ros.viewer.stream import DrawingThread, lower_priority
 
 NAME = "vio_odometry"
@@ -63,6 +63,7 @@ def main(
     streams = []
     # The end may take long on a machine that is busy, but less than the test waits.
     drawing._PATIENCE_S = PATIENCE_S / 4
+    FileTarget.check_every_s /= speed  # as much between two flushes as in a flight in real time
     lower_priority()
     for sink in sinks_for(value, folder / "run.rrd", "flight"):
         scene = LiveScene("flight", [NAME], Gauge.YAW)

@@ -172,6 +172,7 @@ def test_the_table_has_a_row_for_each_pair(outcome: Outcome, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
 def test_without_pyarrow_there_is_no_table_and_a_hint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -284,9 +284,9 @@ def test_viewer_that_freezes_is_not_waited_for(mode: str, port: int, tmp_path: P
     with ExitStack() as stack:
         if mode == "connect":
             frozen = stack.enter_context(receiver(port, file))
-            driver = Driver(f"connect:{url(port)}", tmp_path, 60.0, 2.0, pauses="10")
+            driver = Driver(f"connect:{url(port)}", tmp_path, 60.0, 6.0, pauses="10")
         else:
-            driver = Driver(f"serve:{port}", tmp_path, 60.0, 2.0, pauses="10")
+            driver = Driver(f"serve:{port}", tmp_path, 60.0, 6.0, pauses="10")
             until(lambda: listens(port), "it serves")
             frozen = stack.enter_context(rerun(url(port), "--save", str(file)))
         driver.wait_for("paused at 10")
@@ -333,16 +333,16 @@ def test_viewer_that_is_killed_and_restarted(port: int, tmp_path: Path) -> None:
     first, second = tmp_path / "first.rrd", tmp_path / "second.rrd"
     value = f"connect:{url(port)}"
     with receiver(port, first) as killed:
-        driver = Driver(value, tmp_path, 60.0, 2.5, pauses="20,40,55")
-        driver.wait_for("paused at 20")
+        driver = Driver(value, tmp_path, 35.0, 2.5, pauses="5,25,30")
+        driver.wait_for("paused at 5")
         until(lambda: len(seen(first)), "the first shows something")
         killed.kill()
         killed.wait()
     driver.go_on()
-    driver.wait_for("paused at 40")
+    driver.wait_for("paused at 25")
     with receiver(port, second):
         driver.go_on()
-        driver.wait_for("paused at 55")
+        driver.wait_for("paused at 30")
         until(second.exists, "the second has something")
         driver.go_on()
         report = driver.report()
@@ -357,8 +357,7 @@ def test_viewer_that_is_killed_and_restarted(port: int, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
     with mounted(tmp_path / "disk", "350k") as disk:
-        # Faster, one interval of the flush would take more than the room that is kept free.
-        report = Driver("file", disk, seconds=75.0, speed=1.0).report()
+        report = Driver("file", disk, seconds=75.0, speed=5.0).report()
         picture = Rrd(disk / "run.rrd")
     assert report["trouble"] == [f"{disk / 'run.rrd'} can't be written: no space left on device"]
     assert report["dropped"][0] > 0

@@ -286,6 +286,7 @@ def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
 
 @needs_rerun
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("covariance", ["message", "joint"])
 def test_errors_are_drawn_within_their_bands(covariance: str, tmp_path: Path) -> None:
     from rrd import Rrd
@@ -492,6 +493,7 @@ def test_without_rerun_one_sentence_names_the_extra(sources: list[str], tmp_path
 
 @pytest.mark.slow
 @needs_rerun
+@pytest.mark.usefixtures("no_figures")
 def test_evaluate_writes_the_picture(sources: list[str], tmp_path: Path) -> None:
     from rrd import Rrd
 
