@@ -19,7 +19,7 @@ SCRIPT = ROOT / "action" / "compare.sh"
 ACTION: dict[str, Any] = YAML(typ="safe").load((ROOT / "action.yml").read_text())
 [STEP] = ACTION["runs"]["steps"]
 pytestmark = pytest.mark.skipif(not shutil.which("bash"), reason="there is no bash")
-# Makes an environment whose pip only writes down what it is asked for.
+# Makes an environment whose pip only writes down what it is asked for, and without figures.
 PYTHON = """#!/bin/sh
 mkdir -p "$3/bin"
 cat > "$3/bin/python" <<END
@@ -28,7 +28,7 @@ printf '%s\\n' "\\$@" >> {log}
 END
 cat > "$3/bin/trajeval" <<END
 #!/bin/sh
-exec "{python}" -m trajeval_ros "\\$@"
+exec "{python}" -m trajeval_ros "\\$@" --figures 0 --workers 1
 END
 chmod +x "$3/bin/python" "$3/bin/trajeval"
 """

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from comparison_runs import here
 from damaged_bags import mcap_file, payloads, split
 from paths import SHARED
 from rosbags.rosbag2 import StoragePlugin
 
 from trajeval_ros import read_trajectory
+from trajeval_ros.batch import executors
 from trajeval_ros.cli.app import main
 
 COUNT, LOST = 600, 200
@@ -113,12 +115,12 @@ def _groundtruth_of_messages(folder: Path) -> str:
         ("groundtruth SOURCE", f"{LOST} of {COUNT} poses dropped"),
         ("watch SOURCE", f"{LOST} of {COUNT} poses dropped"),
         pytest.param(
-            "compare --workers 1 GROUNDTRUTH SOURCE",
+            "compare --figures 0 GROUNDTRUTH SOURCE",
             f"{LOST} of {COUNT} poses dropped",
             marks=pytest.mark.slow,
         ),
         pytest.param(
-            "compare --workers 1 SOURCE GROUNDTRUTH",
+            "compare --figures 0 SOURCE GROUNDTRUTH",
             f"poses were dropped: {LOST} not finite",
             marks=pytest.mark.slow,
         ),
@@ -138,6 +140,7 @@ def test_every_command_states_dropped_poses(
     if verb.startswith("compare"):
         pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(executors, "local_pool", lambda _: here())
     texts = {stated}
     if make is mcap:
         groundtruth = _groundtruth_of_messages(tmp_path)

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from comparison_runs import write_run, write_runs
+from comparison_runs import here, write_run, write_runs
 
 from trajeval_ros import Protocol, Trajectory, evaluate, simulate
-from trajeval_ros.batch.compare_runs import compare
+from trajeval_ros.batch.comparison import run_plan
+from trajeval_ros.batch.comparison_summary import summary_of
+from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.summary_tables import matrices
 from trajeval_ros.report.verdict_lines import verdict
 
@@ -81,8 +83,10 @@ def test_tables_mark_what_is_from_few_pairs_and_do_not_rank_it(tmp_path: Path) -
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     config = write_runs(tmp_path, trials=1)
     write_run(tmp_path / "good" / "hall_trial0.txt", 1.01, count=5)
-    summary = compare(config, tmp_path / "out", workers=1, report=False)
-    table = next(matrix for matrix in matrices(summary) if matrix.name == "ate_position_m")
+    run_plan(plan_of(config, {}), tmp_path, here)
+    table = next(
+        matrix for matrix in matrices(summary_of(tmp_path)) if matrix.name == "ate_position_m"
+    )
     (good, bad) = (dict(zip(table.columns, cells, strict=True)) for _, cells in table.rows)
     assert "‡" in good["hall"].note
     assert not good["hall"].is_ranked

@@ -91,26 +91,41 @@ def run(command: str, folder: Path, **more: str) -> str:
     return done.stdout.strip()
 
 
+def offline_index(index: Path) -> dict[str, str]:
+    """Return the environment variables for which a folder is the package index."""
+    return {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(index), "PYTHONPATH": ""}
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an index of empty wheels, and an environment with the numpy of it."""
+    folder = tmp_path_factory.mktemp("prepared")
+    index = folder / "index"
+    index.mkdir()
+    needed = {re.split("[<>=;[ ]", require)[0] for require in requires("trajeval-ros") or ()}
+    for name in {*needed, "matplotlib"}:
+        make_wheel(index, name, "99.0")
+    run(f"{sys.executable} -m venv environment", folder)
+    python = folder / "environment" / "bin" / "python"
+    run(f"{python} -m pip install -q numpy", folder, **offline_index(index))
+    return folder
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["checkout", "wheel", "workspace"])
-def test_the_command_works_as_it_is_printed(way: str, tmp_path: Path) -> None:
+def test_the_command_works_as_it_is_printed(way: str, prepared: Path, tmp_path: Path) -> None:
     """A folder of empty wheels stands for the package index."""
     pytest.importorskip("build" if way == "wheel" else "setuptools")
-    index, checkout = tmp_path / "index", tmp_path / "checkout"
-    environment, prefix = tmp_path / "environment", tmp_path / "install" / "trajeval_ros"
-    for folder in (index, checkout):
-        folder.mkdir()
+    environment, checkout = tmp_path / "environment", tmp_path / "checkout"
+    prefix = tmp_path / "install" / "trajeval_ros"
+    checkout.mkdir()
+    shutil.copytree(prepared / "environment", environment, symlinks=True)
     for name in ("trajeval_ros", "resource", "launch", "config"):
         shutil.copytree(ROOT / name, checkout / name)
     for name in ("setup.py", "setup.cfg", "pyproject.toml", "README.md", "package.xml"):
         shutil.copy(ROOT / name, checkout)
-    needed = {re.split("[<>=;[ ]", require)[0] for require in requires("trajeval-ros") or ()}
-    for name in {*needed, "matplotlib"}:
-        make_wheel(index, name, "99.0")
-    run(f"{sys.executable} -m venv {environment}", tmp_path)
     python = environment / "bin" / "python"
-    offline = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(index), "PYTHONPATH": ""}
-    run(f"{python} -m pip install -q numpy", tmp_path, **offline)
+    offline = offline_index(prepared / "index")
     setup = f"{sys.executable} setup.py -q"
     if way == "wheel":
         run(f"{sys.executable} -m build --wheel --outdir {tmp_path} {checkout}", tmp_path)

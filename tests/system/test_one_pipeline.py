@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from comparison_runs import compare
 from live_runs import ESTIMATE, GROUNDTRUTH, Live
 from ros_bags import ODOM, POSE, messages_of, write_messages
 from ros_processes import assert_same
@@ -166,8 +167,7 @@ def test_comparison_tabulates_what_was_asked_for(
         'groundtruth: "{sequence}:/groundtruth/pose"\nruns: {vio: "{sequence}:/vio/odometry"}\n'
     )
     out = tmp_path / "out"
-    assert main(["compare", str(config), *options, "--workers", "1", "--quiet", "--output",
-                 str(out)]) == 0  # fmt: skip
+    assert compare(config, *options, "-q", output=out) == 0
     from trajeval_ros.batch.results_table import ResultsTable
 
     values = {row["metric"]: row["mean"] for row in ResultsTable(out / "runs.parquet").select(

@@ -10,6 +10,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from comparison_runs import compare
 from upright_runs import car, erring, standing
 from written_trajectories import write
 
@@ -71,13 +72,13 @@ def comparison(
 ) -> list[str]:
     """Return the texts that `compare` writes; its gates refuse withheld metrics."""
     output = folder / "compared"
-    assert main(["compare", "--figures", "0", *sides, *options, "--output", str(output)]) == 0
+    assert compare(*sides, *options, output=output) == 0
     runs = output / "runs.parquet"
     rows = parquet.read_table(runs).to_pylist()
     assert not [row for row in rows if row["kind"] == "ate" and row["metric"] in withheld]
     for metric in withheld:
         gate = ["--baseline", str(runs), "--fail-if", f"ate.{metric}.rmse worse than 5 %"]
-        assert main(["compare", "--figures", "0", *sides, *options, *gate]) == 2
+        assert compare(*sides, *options, *gate, output=folder / "gated") == 2
         assert metric in capsys.readouterr().err
     pages = [path for path in output.rglob("*") if path.suffix in {".html", ".md", ".tex", ".csv"}]
     return [path.read_text() for path in pages]
