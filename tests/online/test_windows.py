@@ -29,7 +29,7 @@ def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=gauge), Window.parse(window)))
     whole = OnlineEvaluator(OnlineSettings(Protocol(gauge=gauge)))
     for live in (evaluator, whole):
-        feed(live, groundtruth, estimate)
+        feed(live, groundtruth, estimate, drain_s=0.37)
     snapshot, all_pairs = evaluator.snapshot(), whole.association()
     stamps = all_pairs.groundtruth.stamps
     along = all_pairs.groundtruth.travelled
@@ -57,7 +57,7 @@ def test_groundtruth_coverage_is_of_the_whole_run_whatever_the_window() -> None:
     for text in ("0", "2s", "3"):
         live = OnlineEvaluator(OnlineSettings(window=Window.parse(text)))
         assert live.snapshot().coverage is None
-        feed(live, groundtruth, estimate)
+        feed(live, groundtruth, estimate, drain_s=0.37)
         assert live.snapshot().coverage == recorded.coverage
 
 
