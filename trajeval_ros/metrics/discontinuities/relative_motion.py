@@ -8,8 +8,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, lengths
+from trajeval_ros.geometry.arrays import Floats, Indices, lengths
 
+Rows: TypeAlias = Indices | slice
 # Rotation, its products, lever arm, and the matrix and vector of the lever arm.
 BodyState: TypeAlias = tuple[Floats | None, Floats, Floats, Floats, Floats]
 
@@ -17,6 +18,9 @@ BodyState: TypeAlias = tuple[Floats | None, Floats, Floats, Floats, Floats]
 GROUNDTRUTH_POSITION, GROUNDTRUTH_QUATERNION = slice(1, 4), slice(4, 8)
 POSITION, QUATERNION = slice(8, 11), slice(11, 15)
 PAIR_WIDTH = QUATERNION.stop
+# Columns of pairs by the relation of both sides: positions of both, metres, the lever arm, and the
+# rotation from the estimate's world to the groundtruth's.
+_POINT, _SCALED, _ARM, _WORLD = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 13)
 
 CELL_S = 0.5  # time between learned pairs: shorter learns noise, longer learns late
 _MEMORY_S = 60.0  # of rotation, scale and lever arm
@@ -100,30 +104,37 @@ class RelativeMotion:
 
         `rotation` (3, 3) is another rotation of the body.
         """
+        rotation = self.rotation if rotation is None else rotation
+        if rotation is not None and self.oriented:
+            return _difference(*(self._related(pairs, rotation) for pairs in (begin, end)))
         d = end[..., GROUNDTRUTH_POSITION] - begin[..., GROUNDTRUTH_POSITION]
         e = self.scale * (end[..., POSITION] - begin[..., POSITION])
         moved_m = lengths(d)
         lengths_m = np.abs(moved_m - lengths(e))
-        rotation = self.rotation if rotation is None else rotation
         if not self.oriented:
             m = lengths_m if rotation is None else lengths(d - e @ rotation.T)
             return Difference(m, np.zeros_like(m), moved_m, lengths_m)
         rotated, rotated_estimate = _rotations(begin, end)
-        if rotation is None:
-            deg = np.degrees(np.abs(lie.angle(rotated) - lie.angle(rotated_estimate)))
-            return Difference(lengths_m, deg, moved_m, lengths_m)
-        back = lie.conjugate(rotated)
-        rotated_estimate[..., :3] = rotated_estimate[..., :3] @ rotation.T
-        deg = np.degrees(lie.angle(lie.multiply(back, rotated_estimate)))
-        # In the body at the begin and at the end: an orientation that is wrong is at one of them.
-        levers = lie.rotate(rotated, self.lever_m), lie.rotate(back, self.lever_m)
-        arms = levers[0] - self.lever_m, self.lever_m - levers[1]
-        m = np.full(moved_m.shape, np.inf)
-        for pairs, arm in zip((begin, end), arms, strict=True):
-            inside = lie.rotate(lie.conjugate(pairs[..., GROUNDTRUTH_QUATERNION]), d)
-            estimated = lie.rotate(lie.conjugate(pairs[..., QUATERNION]), e)
-            m = np.minimum(m, lengths(inside - estimated @ rotation.T - arm))
-        return Difference(m, deg, moved_m, lengths_m)
+        deg = np.degrees(np.abs(lie.angle(rotated) - lie.angle(rotated_estimate)))
+        return Difference(lengths_m, deg, moved_m, lengths_m)
+
+    def among(self, pairs: Floats, begins: Rows, ends: Rows) -> Difference:
+        """Return the differences of the motions between rows of pairs (M, 15)."""
+        if self.rotation is None or not self.oriented:
+            return self.between(pairs[begins], pairs[ends])
+        related = self._related(pairs, self.rotation)
+        return _difference(related[begins], related[ends])
+
+    def _related(self, pairs: Floats, rotation: Floats) -> Floats:
+        """Return columns (..., 13) of pairs (..., 15) by the relation of both sides."""
+        quaternions = pairs[..., GROUNDTRUTH_QUATERNION]
+        related = np.empty((*pairs.shape[:-1], _WORLD.stop))
+        related[..., _POINT] = pairs[..., GROUNDTRUTH_POSITION]
+        related[..., _SCALED] = self.scale * pairs[..., POSITION]
+        related[..., _ARM] = lie.rotate(quaternions, self.lever_m)
+        body = lie.multiply(quaternions, lie.from_matrix(rotation))
+        related[..., _WORLD] = lie.multiply(body, lie.conjugate(pairs[..., QUATERNION]))
+        return related
 
     def size(self, begin: Floats, end: Floats) -> Size:
         """Return the difference of the motions between two pairs (15,)."""
@@ -184,6 +195,23 @@ def rotation_beyond(motion: RelativeMotion, begin: Floats, end: Floats) -> Float
     rotated, rotated_estimate = _rotations(begin, end)
     rotated_estimate[:3] = motion.rotation @ rotated_estimate[:3]
     return lie.to_matrix(lie.multiply(lie.conjugate(rotated_estimate), rotated))
+
+
+def _difference(begin: Floats, end: Floats) -> Difference:
+    """Return the differences between columns of `RelativeMotion._related`, which broadcast.
+
+    The estimate's displacement is rotated to the groundtruth's world by the poses at the begin and
+    by those at the end: an orientation that is wrong is at one of them.
+    """
+    moved = end - begin
+    d, e = moved[..., _POINT], moved[..., _SCALED]
+    moved_m, arms = lengths(d), moved[..., _ARM]
+    m = np.minimum(
+        *(lengths(d - arms - lie.rotate(side[..., _WORLD], e)) for side in (begin, end))
+    )
+    chords = lengths(moved[..., _WORLD]), lengths(end[..., _WORLD] + begin[..., _WORLD])
+    deg = np.degrees(4.0 * np.arctan2(np.minimum(*chords), np.maximum(*chords)))
+    return Difference(m, deg, moved_m, np.abs(moved_m - lengths(e)))
 
 
 def _rotations(begin: Floats, end: Floats) -> list[Floats]:

@@ -50,8 +50,12 @@ from trajeval_ros.metrics.discontinuities.usual_differences import UsualDifferen
 
 _BURN_IN_S, _BURN_IN_PAIRS = 4.0, 12  # the first pairs are judged in retrospect
 _LEARN_S = 20.0  # time between updates of the limits of usual motion: a shorter one costs time
+# Intervals about an unusual motion that are examined: what is usual is learned before, and the
+# poses may return after it (`RETURN_S`).
+_EXAMINED = range(-1, 4)
 _CALM_PAIRS = 5  # after a step that stays
 _AFTER_GAP_S = 3.2  # motion after a gap that determines a clock step
+_FOLLOWED = 64  # pairs that are compared at a time after a step, which mostly ends among them
 
 
 class StepSearch:
@@ -63,6 +67,7 @@ class StepSearch:
         motion: RelativeMotion,
         events: list[Event],
         clocks: ClockSteps,
+        unusual_s: Floats | None = None,
     ) -> None:
         """Create it once the rates are known.
 
@@ -71,6 +76,7 @@ class StepSearch:
             motion: The relative motion, which it learns.
             events: Where it appends events.
             clocks: Corrects clock steps in gaps.
+            unusual_s: Times (K,) of the only motions that can be steps; None if they are unknown.
         """
         self.open: PairStep | None = None
         self.previous: Floats | None = None  # the last judged pair (15,)
@@ -79,6 +85,13 @@ class StepSearch:
         self._history = MotionHistory(motion, source.begin_s, source.period_s)
         self._burn_in: Floats | None = np.empty((0, PAIR_WIDTH))
         self._interval = 0  # number of the interval whose pairs have the same limits
+        # Numbers of the intervals that are examined; None for all. That before them is learned.
+        self._examined: set[int] | None = None
+        if unusual_s is not None:
+            numbers = np.floor((unusual_s - source.begin_s) / _LEARN_S).astype(np.int64)
+            self._examined = {
+                number + near for number in set(numbers.tolist()) for near in _EXAMINED
+            }
         # Steps that may return: begin, end, event, and the body's rotation before them.
         self._stayed: deque[tuple[Floats, Floats, Event, BodyState]] = deque(maxlen=MOST_STAYED)
 
@@ -135,15 +148,23 @@ class StepSearch:
         """Learn pairs of usual motion until a step begins; return the pairs after it."""
         begin_s = self._source.begin_s
         interval = int((pairs[0, 0] - begin_s) / _LEARN_S)
-        if interval != self._interval:
-            self._history.learn()
-            self._interval = interval
         count = max(1, int(pairs[:, 0].searchsorted(begin_s + (interval + 1) * _LEARN_S)))
-        end, begin = pairs[:count], np.concatenate([previous[None], pairs[: count - 1]])
+        is_examined = self._examined is None or interval in self._examined
+        if self._examined is not None and not {interval, interval + 1} & self._examined:
+            self._good(pairs[:count])
+            return pairs[count:]
+        if interval != self._interval:
+            self._history.learn(of_lags=False)
+            self._interval = interval
+        both = np.concatenate([previous[None], pairs[:count]])
+        begin, end = both[:-1], both[1:]
         seconds = end[:, 0] - begin[:, 0]
-        difference = self._motion.between(begin, end)
+        difference = self._motion.among(both, slice(-1), slice(1, None))
         limit_m, limit_deg = self._usual.limit(seconds)
         unusual = (difference.m > limit_m) | (difference.deg > limit_deg)
+        if self._history.waiting:
+            unusual |= seconds > GAP * self._source.period_s
+        unusual &= is_examined
         row = int(unusual.argmax()) if unusual.any() else count
         if row:
             calm = np.flatnonzero(seconds[:row] < GAP * self._source.period_s)
@@ -161,12 +182,12 @@ class StepSearch:
 
     def _follow(self, step: PairStep, previous: Floats, pairs: Floats) -> tuple[Floats, bool]:
         """Take pairs until a step ends; return the pairs after it, and whether a clock stepped."""
-        begin = np.concatenate([previous[None], pairs[:-1]])
-        difference = self._motion.between(begin, pairs)
-        totals = self._motion.between(step.begin, pairs)
-        limits = np.column_stack(self._usual.limit(pairs[:, 0] - begin[:, 0])).tolist()
-        since_begin = np.column_stack(self._usual.limit(pairs[:, 0] - step.begin[0])).tolist()
-        for row, pair in enumerate(pairs):
+        both = np.concatenate([previous[None], pairs[:_FOLLOWED]])
+        difference = self._motion.among(both, slice(-1), slice(1, None))
+        totals = self._motion.between(step.begin, both[1:])
+        limits = np.column_stack(self._usual.limit(np.diff(both[:, 0]))).tolist()
+        since_begin = np.column_stack(self._usual.limit(both[1:, 0] - step.begin[0])).tolist()
+        for row, pair in enumerate(both[1:]):
             size = difference.size(row)
             if step.size.deg > 25.0:
                 # Inside a flip, directions in the body are those of another body.
@@ -188,8 +209,8 @@ class StepSearch:
             elif step.is_lost(float(pair[0] - step.after[0])):
                 self._lose(step, pair)
             if self.open is None:
-                return pairs[row + 1 :], False
-        return pairs[:0], False
+                break
+        return pairs[row + 1 :], False
 
     def _tests_clock(self, step: PairStep, pair: Floats) -> bool:
         is_long = pair[0] - step.after[0] >= _AFTER_GAP_S

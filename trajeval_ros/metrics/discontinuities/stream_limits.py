@@ -10,7 +10,6 @@ from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import CELL_S
 from trajeval_ros.metrics.discontinuities.stream_motion import StreamMotions, stream_motions
 from trajeval_ros.metrics.discontinuities.usual_differences import (
-    LAGS,
     LEAST_DEG,
     LEAST_M,
     UsualDifferences,
@@ -55,14 +54,12 @@ class StreamLimits:
         first = max(int(stamps.searchsorted(self.learned_until_s)) - 1, 0)
         self.learned_until_s = float(stamps[end])
         marks = first + 1 + np.flatnonzero(np.diff(np.floor(stamps[first:end] / CELL_S)))
-        ends = np.tile(marks, len(LAGS))
-        lags_s = np.repeat(CELL_S * LAGS, len(marks))
+        lags = self._usual.lags
+        ends, lags_s = np.tile(marks, len(lags)), np.repeat(CELL_S * lags, len(marks))
         begins = stamps.searchsorted(stamps[ends] - lags_s)
         late_s = stamps[ends] - stamps[begins] - lags_s
         known = (np.abs(late_s) < 0.5 * CELL_S) & (begins > 0) & (begins < ends)
-        known &= (stamps[begins] >= self.part_s) & np.repeat(
-            self._usual.is_learned[1:], len(marks)
-        )
+        known &= stamps[begins] >= self.part_s
         if not known.any():
             return
         numbers = 1 + np.flatnonzero(known) // len(marks)

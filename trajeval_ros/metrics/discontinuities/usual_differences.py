@@ -9,7 +9,7 @@ from trajeval_ros.metrics.discontinuities.relative_motion import CELL_S
 
 LAGS = np.array([1, 2, 4, 8, 16, 32, 64])  # cells between learned pairs, up to 32 s
 LEAST_M, LEAST_DEG = 0.03, 2.0  # smallest limits: motion capture is not better
-_KEPT = 240  # learned differences of a lag: 2 min of cells
+KEPT = 240  # learned differences of a lag: 2 min of cells
 # Limit: the larger of these multiples of the median and of the 95th percentile. Six medians
 # detect steps of 0.1 m of a good estimate, and report about 10 events per hour of a bad one.
 _OF_MEDIAN, _OF_TAIL = 6.0, 2.5
@@ -20,13 +20,12 @@ _GROWTH = 1.5  # exponent of the usual difference beyond the learned lags: a ran
 class UsualDifferences:
     """Limits of the differences by the time between two pairs, from those of the last minutes.
 
-    They are learned over one period of the pairs, number 0, and over `LAGS`, from 1 on.
+    They are learned over one period of the pairs, number 0, and over `lags`, from 1 on.
     """
 
     def __init__(self, period_s: float) -> None:
-        self._times_s = np.append(period_s, CELL_S * LAGS)
-        self.is_learned = self._times_s > 1.5 * period_s  # lags longer than a period
-        self.is_learned[0] = True
+        self.lags = LAGS[1.5 * period_s < CELL_S * LAGS]  # those longer than a period
+        self._times_s = np.append(period_s, CELL_S * self.lags)
         # Logarithms of times (K,) and of the limits (2, K); None if they are to be computed again.
         self._table: tuple[Floats, Floats] | None = None
         self.clear()
@@ -36,7 +35,7 @@ class UsualDifferences:
         numbers = np.broadcast_to(numbers, m.shape)
         is_of_lag = numbers[:, None] == np.arange(len(self._counts))
         counts = self._counts + np.cumsum(is_of_lag, axis=0)  # with this difference
-        rows = (counts[np.arange(len(m)), numbers] - 1) % _KEPT
+        rows = (counts[np.arange(len(m)), numbers] - 1) % KEPT
         self._samples[numbers, :, rows] = np.column_stack([m, deg])
         self._counts += is_of_lag.sum(axis=0)
         self._table = None
@@ -44,7 +43,7 @@ class UsualDifferences:
     def clear(self) -> None:
         """Forget all differences."""
         # By lag, metres and deg, and the newest samples in a ring.
-        self._samples = np.full((len(self._times_s), 2, _KEPT), np.inf)
+        self._samples = np.full((len(self._times_s), 2, KEPT), np.inf)
         self._counts = np.zeros(len(self._times_s), dtype=np.int64)
         self._table = None
 
@@ -66,8 +65,8 @@ class UsualDifferences:
 
     def _logarithms(self) -> tuple[Floats, Floats]:
         """Return the logarithms of times and limits, which grow with the time."""
-        counts = np.minimum(self._counts, _KEPT)
-        known = np.flatnonzero((counts >= _LEAST_SAMPLES) & self.is_learned)
+        counts = np.minimum(self._counts, KEPT)
+        known = np.flatnonzero(counts >= _LEAST_SAMPLES)
         counts = counts[known]
         ordered = np.sort(self._samples[known], axis=2)
         rows = np.arange(len(known))
