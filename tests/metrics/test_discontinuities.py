@@ -20,7 +20,8 @@ from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.handling import without_clock_steps
 from trajeval_ros.metrics.discontinuities.recorded import discontinuities
-from trajeval_ros.metrics.discontinuities.screening import may_have_events
+from trajeval_ros.metrics.discontinuities.screening import has_repeats, unusual_times
+from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol
 
 FIELD_CASES = Path(__file__).parents[3] / "shared/data/field_cases"
@@ -187,8 +188,35 @@ def test_inputs_that_people_report_are_named(
 
 def screened(groundtruth: Trajectory, estimate: Trajectory) -> bool:
     evaluation = evaluate(groundtruth, estimate, Protocol(gauge="se3", lengths=()))
+    times = unusual_around(evaluation, groundtruth, estimate)
+    return times is None or len(times) > 0 or has_repeats(groundtruth) or has_repeats(estimate)
+
+
+def unusual_around(
+    evaluation: Evaluation, groundtruth: Trajectory, estimate: Trajectory
+) -> Stamps | None:
     similarity = evaluation.alignment.similarity
-    return may_have_events(evaluation.association, similarity, groundtruth, estimate)
+    return unusual_times(evaluation.association, similarity, groundtruth, estimate)
+
+
+@pytest.mark.parametrize("at_s", [[30.0], [110.0], [150.0, 195.0, 390.0]])
+def test_far_from_unusual_motions_nothing_is_lost(at_s: list[float]) -> None:
+    """Steps of both sides and an outlier, as in a search of the whole run."""
+    flight = simulate(seed=3, duration_s=400.0)
+    both = [flight.groundtruth, flight.estimate]
+    first_s = flight.estimate.stamps[0] / NANOSECONDS
+    for number, time_s in zip([1, 0, 1], at_s, strict=False):
+        span = first_s + time_s, first_s + time_s + 0.5 if number == 0 else np.inf
+        both[number] = changed(both[number], *span, lambda rows: rows + [0.6, 0.8, 0.0])
+    evaluation = evaluate(*both, Protocol(gauge="se3", lengths=()))
+    times = unusual_around(evaluation, *both)
+    assert times is not None
+    assert 0 < len(times) < 10 * len(at_s)
+    events, near = discontinuities(*both), discontinuities(*both, 0, times)
+    assert [(event.kind, event.side, event.end_ns) for event in near] == [
+        (event.kind, event.side, event.end_ns) for event in events
+    ]
+    assert len(events) == len(at_s)
 
 
 @pytest.mark.parametrize("seed", range(3))

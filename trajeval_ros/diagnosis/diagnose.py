@@ -94,9 +94,11 @@ def diagnose(
     known, is_partial, unexplained = _tested_where_tracked(losses, pairs, inputs)
     if known.named("other_run") and _is_of_noisy_fixes(evaluation):
         known = known.without("other_run", "fixes are noisier than short motions")
-    is_searched = not paired or not any(map(_explains_motions, known.findings))
-    if is_searched:
-        evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
+    is_explained = any(map(_explains_motions, known.findings))
+    if not (paired and is_explained):
+        evaluation = with_events(
+            evaluation, groundtruth, estimate, paired=paired, is_explained=is_explained
+        )
     if is_rotation_frozen(evaluation):
         known = known.without("rotations", "a rotation is frozen")
     # After a step of a clock, motions agree by chance with wrong conventions, too.

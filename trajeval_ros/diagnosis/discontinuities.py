@@ -23,7 +23,7 @@ from trajeval_ros.metrics.discontinuities.parts import (
     without_outliers_m,
 )
 from trajeval_ros.metrics.discontinuities.recorded import discontinuities
-from trajeval_ros.metrics.discontinuities.screening import may_have_events
+from trajeval_ros.metrics.discontinuities.screening import has_repeats, unusual_times
 from trajeval_ros.metrics.evaluation import Evaluation
 
 _FALLS = 0.8  # of the ATE: steps that cause more of it are a finding
@@ -45,12 +45,18 @@ _NOUNS = {kinds.LOST: "interval of irregular motion"}
 
 
 def with_events(
-    evaluation: Evaluation, groundtruth: Trajectory, estimate: Trajectory, *, paired: bool
+    evaluation: Evaluation,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    *,
+    paired: bool,
+    is_explained: bool = False,
 ) -> Evaluation:
     """Return an evaluation with its discontinuities, by the groundtruth's clock, and its parts.
 
     The trajectories are in the order of their sources, without the time offset. If they are
-    `paired`, or have no timestamps, those of the pairs are used. Nothing for GNSS fixes.
+    `paired`, or have no timestamps, those of the pairs are used. Nothing for GNSS fixes. If a
+    mistake explains all motions, only exact repeats and steps of clocks are searched for.
     """
     pairs, rule = evaluation.association, evaluation.association.rule
     if evaluation.groundtruth.kind == _NOISY:
@@ -63,9 +69,12 @@ def with_events(
         groundtruth, estimate = (
             dataclasses.replace(side, stamps=stamps) for side in (groundtruth, estimate)
         )
-    if not may_have_events(pairs, evaluation.alignment.similarity, groundtruth, estimate):
+    sides = groundtruth, estimate
+    similarity = evaluation.alignment.similarity
+    unusual = unusual_times(pairs, similarity, *sides, in_gaps=is_explained)
+    if unusual is not None and not len(unusual) and not any(map(has_repeats, sides)):
         return evaluation
-    events = tuple(discontinuities(groundtruth, estimate, offset_ns))
+    events = tuple(discontinuities(*sides, offset_ns, unusual if has_times else None))
     parts = parts_of(pairs, events, evaluation.protocol) if has_times else ()
     return dataclasses.replace(evaluation, events=events, parts=parts)
 

@@ -34,8 +34,12 @@ class Discontinuities:
         [('step', 'estimate', 30000000000)]
     """
 
-    def __init__(self, *, oriented: bool = True) -> None:
-        """Create it before the first message; without orientations, positions are compared."""
+    def __init__(self, *, oriented: bool = True, unusual: Stamps | None = None) -> None:
+        """Create it before the first message; without orientations, positions are compared.
+
+        `unusual`: timestamps (K,) of the only motions that can be steps; None if they are unknown.
+        """
+        self._unusual = unusual
         self.events: list[Event] = []  # in order of detection
         self._streams = SidePoses(oriented=oriented), SidePoses(oriented=oriented)
         self._source = PairSource(self._streams)
@@ -106,7 +110,12 @@ class Discontinuities:
         if self._source.periods is None:
             if not self._source.begin(at_end=at_end):
                 return
-            self._steps = StepSearch(self._source, self._motion, self.events, self._clocks)
+            unusual_s = None
+            if self._unusual is not None:
+                unusual_s = (self._unusual - self._clocks.ns(0.0)) / NANOSECONDS
+            self._steps = StepSearch(
+                self._source, self._motion, self.events, self._clocks, unusual_s
+            )
         assert self._steps is not None
         while self._steps.take(self._source.new_pairs()):
             pass  # a clock step was corrected: pair again

@@ -62,7 +62,7 @@ def parts_of(
         for event in sure
         if event.kind == RESTART or event.m > _SIGMAS[event.side] * together
     ]
-    return _cut(pairs, large, protocol)
+    return parts if len(large) == len(sure) else _cut(pairs, large, protocol)
 
 
 def _cut(pairs: Association, events: Sequence[Event], protocol: Protocol) -> tuple[RunPart, ...]:

@@ -16,17 +16,21 @@ _BLOCK_S = 60.0  # messages that are taken at a time: more take memory, fewer ti
 
 
 def discontinuities(
-    groundtruth: Trajectory, estimate: Trajectory, offset_ns: int = 0
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    offset_ns: int = 0,
+    unusual: Stamps | None = None,
 ) -> list[Event]:
     """Return the events of two recorded trajectories, as a live run finds them, by time.
 
     If both sides have receive times, their states are taken in that order; else in the given one.
-    `offset_ns` is added to the estimate's timestamps.
+    `offset_ns` is added to the estimate's timestamps. Far from `unusual` motions (K,), by the
+    groundtruth's clock, no motion is examined; None if any can be unusual.
     """
     if offset_ns:
         estimate = dataclasses.replace(estimate, stamps=estimate.stamps + offset_ns)
     oriented = groundtruth.quaternions is not None and estimate.quaternions is not None
-    search, sides, blocks = Discontinuities(oriented=oriented), [], []
+    search, sides, blocks = Discontinuities(oriented=oriented, unusual=unusual), [], []
     times = [item.reading.receive_times for item in (groundtruth, estimate)]
     has_times = all(time is not None for time in times)
     for trajectory, receive_times in zip((groundtruth, estimate), times, strict=True):

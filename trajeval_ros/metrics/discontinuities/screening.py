@@ -1,15 +1,17 @@
-"""A fast test of recorded runs: whether any motion is unusual enough to be a discontinuity.
+"""A fast test of recorded runs: which motions are unusual enough to be discontinuities.
 
-The search takes about 0.1 ms per pair, which is more than the whole evaluation. Most recordings
-have no motion that it would examine, which columns of all pairs show in a hundredth of the time.
+The search takes as much time as the rest of the evaluation. Most recordings have no or few motions
+that it would examine, which columns of all pairs show in a hundredth of the time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps, lengths
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, lengths
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
@@ -25,29 +27,45 @@ _BLOCK = 240  # pairs with a common median: as many as the search remembers
 _OF_MEDIAN = 4.0
 
 
-def may_have_events(
-    pairs: Association, similarity: Similarity, groundtruth: Trajectory, estimate: Trajectory
-) -> bool:
-    """Return whether the search for discontinuities can have a result.
+def unusual_times(
+    pairs: Association,
+    similarity: Similarity,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    *,
+    in_gaps: bool = False,
+) -> Stamps | None:
+    """Return the timestamps (K,) of pairs next to which the search can have a result.
 
-    `groundtruth`, `estimate`: in the order of their sources. `similarity`: aligns the pairs.
+    None if it can have one anywhere. `groundtruth`, `estimate`: in the order of their sources.
+    `similarity`: aligns the pairs. `in_gaps`: clocks may have stepped, and all else is usual.
     """
-    if len(pairs) < _FEW_PAIRS:
-        return True
-    sides = groundtruth, estimate
-    if any(_has_irregular_stamps(side) or _has_repeats(side) for side in sides):
-        return True
+    if len(pairs) < _FEW_PAIRS or any(map(_has_irregular_stamps, (groundtruth, estimate))):
+        return None
     true, aligned = pairs.groundtruth, similarity.trajectory(pairs.estimate)
     roots = _roots_of_steps(true.stamps)
-    changes = np.diff(true.positions - aligned.positions, axis=0)
-    if _is_unusual(lengths(changes), roots, LEAST_M):
-        return True
-    if true.quaternions is None or aligned.quaternions is None:
-        return False
-    errors = lie.multiply(lie.conjugate(true.quaternions), aligned.quaternions)
-    cosines = np.abs(np.einsum("ni,ni->n", errors[1:], errors[:-1]))
-    angles = np.degrees(2.0 * np.arccos(np.minimum(cosines, 1.0)))
-    return _is_unusual(angles, roots, LEAST_DEG)
+    differences = [lengths(np.diff(true.positions - aligned.positions, axis=0))]
+    unusual = _unusual(differences, roots, LEAST_M)
+    if true.quaternions is not None and aligned.quaternions is not None:
+        back = lie.conjugate(aligned.quaternions)
+        angles = [_angles(lie.multiply(lie.conjugate(true.quaternions), aligned.quaternions))]
+        unusual |= _unusual(angles, roots, LEAST_DEG)
+        if unusual.any():  # where the alignment does not fit, rotations between the worlds may
+            worlds = lie.multiply(true.quaternions, back)
+            steps, true_steps = (np.diff(side.positions, axis=0) for side in (aligned, true))
+            differences.append(lengths(true_steps - lie.rotate(worlds[1:], steps)))
+            angles.append(_angles(worlds))
+            unusual = _unusual(differences, roots, LEAST_M) | _unusual(angles, roots, LEAST_DEG)
+    if in_gaps:
+        unusual &= roots > 1.0
+    return true.stamps[1:][unusual]
+
+
+def _angles(rotations: Floats) -> Floats:
+    """Return the angles (N - 1,) between successive rotations (N, 4), deg."""
+    cosines = np.abs(np.einsum("ni,ni->n", rotations[1:], rotations[:-1]))
+    angles: Floats = np.degrees(2.0 * np.arccos(np.minimum(cosines, 1.0)))
+    return angles
 
 
 def _has_irregular_stamps(side: Trajectory) -> bool:
@@ -62,7 +80,7 @@ def _has_irregular_stamps(side: Trajectory) -> bool:
     return bool(np.abs(more).max(initial=0) > SMALLEST_S * NANOSECONDS)
 
 
-def _has_repeats(side: Trajectory) -> bool:
+def has_repeats(side: Trajectory) -> bool:
     """Return whether a part of a pose is repeated, but for a rotation that never changes."""
     parts = [side.positions] if side.quaternions is None else [side.positions, side.quaternions]
     repeats = [(part[1:] == part[:-1]).all(axis=1) for part in parts]
@@ -79,12 +97,15 @@ def _roots_of_steps(stamps: Stamps) -> Floats:
     return np.sqrt(np.where(ratios > GAP, ratios, 1.0))
 
 
-def _is_unusual(changes: Floats, roots: Floats, least: float) -> bool:
-    """Return whether a change (N,) exceeds the limit about it; `least`: the smallest limit."""
-    for begin in range(0, len(changes), _BLOCK):
-        block = changes[max(0, min(begin, len(changes) - _BLOCK)) : begin + _BLOCK]
-        limit = max(least, _OF_MEDIAN * median(block))
+def _unusual(kinds: Sequence[Floats], roots: Floats, least: float) -> Booleans:
+    """Return which changes (N,) exceed the limit about them; `least`: the smallest limit.
+
+    Of several kinds of changes, the one with the smallest median there is compared.
+    """
+    unusual = np.empty(len(roots), dtype=bool)
+    for begin in range(0, len(roots), _BLOCK):
+        block = slice(max(0, min(begin, len(roots) - _BLOCK)), begin + _BLOCK)
+        usual, _, changes = min((median(kind[block]), row, kind) for row, kind in enumerate(kinds))
         rows = slice(begin, begin + _BLOCK)
-        if (changes[rows] > limit * roots[rows]).any():
-            return True
-    return False
+        unusual[rows] = changes[rows] > max(least, _OF_MEDIAN * usual) * roots[rows]
+    return unusual
