@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,10 +26,11 @@ from trajeval_ros.pipeline.request import Request
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Calibrated
     from trajeval_ros.metrics.association import Association
-    from trajeval_ros.metrics.discontinuities.events import Loss
+    from trajeval_ros.metrics.discontinuities.events import Event, Loss
 
 # Corrections that change the pairs.
 _TEMPORAL = {"time_offset", "estimate.clock_rate", "end", "max_gap"}
+_OF_EVENTS = {"correct", "drop_groundtruth_outliers"}  # corrections of discontinuities
 
 
 def diagnose(
@@ -58,14 +60,14 @@ def diagnose(
     sides = inputs.groundtruth, inputs.estimate
     paired = inputs.pairs is not None
     evaluation, diagnosis = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
-    return verified(diagnosis, evaluation, reevaluate), ""
+    return verified(diagnosis, evaluation, _knowing(evaluation, reevaluate)), ""
 
 
 def diagnosed(
     evaluation: Evaluation,
     groundtruth: Trajectory,
     estimate: Trajectory,
-    reevaluate: Reevaluate,
+    reevaluate: Callable[..., Evaluation],
     *,
     paired: bool = False,
     hand_eye_calibrated: bool = False,
@@ -78,18 +80,33 @@ def diagnosed(
     evaluation, diagnosis = diagnose_evaluation(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
         diagnosis = diagnosis.after_hand_eye_calibration()
-    diagnosis = verified(diagnosis, evaluation, reevaluate)
+    diagnosis = verified(diagnosis, evaluation, _knowing(evaluation, reevaluate))
     require_same_body(evaluation, diagnosis)
     remarks = (*remarks_on(evaluation, diagnosis, paired=paired), *evaluation.remarks)
     return dataclasses.replace(evaluation, remarks=remarks), diagnosis
 
 
-def reevaluation(given: Inputs, request: Request, same_as: Calibrated | None = None) -> Reevaluate:
-    """Return what evaluates again with corrections, without relative errors."""
+def _knowing(evaluation: Evaluation, reevaluate: Callable[..., Evaluation]) -> Reevaluate:
+    """Return what evaluates again with the discontinuities of an evaluation."""
+    return functools.partial(reevaluate, events=evaluation.events)
 
-    def reevaluate(corrections: Sequence[Mapping[str, str]]) -> Evaluation:
+
+def reevaluation(
+    given: Inputs, request: Request, same_as: Calibrated | None = None
+) -> Callable[..., Evaluation]:
+    """Return what evaluates again with corrections, without relative errors.
+
+    It does not search for `events` that it knows.
+    """
+    is_whole = given.pairs is None and not request.discontinuities.changes_inputs
+
+    def reevaluate(
+        corrections: Sequence[Mapping[str, str]], events: Sequence[Event] | None = None
+    ) -> Evaluation:
         protocol = dataclasses.replace(request.protocol, lengths=())
         changed, sides = dataclasses.replace(request, protocol=protocol), given
+        if is_whole and all(correction.keys() <= _OF_EVENTS for correction in corrections):
+            sides = dataclasses.replace(given, events=events)
         for correction in corrections:
             changed = changed.corrected(correction)
             if given.pairs is not None and correction.keys() & _TEMPORAL:

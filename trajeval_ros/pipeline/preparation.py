@@ -32,6 +32,7 @@ from trajeval_ros.pipeline.request import Request
 
 if TYPE_CHECKING:
     from trajeval_ros.metrics.association import Association
+    from trajeval_ros.metrics.discontinuities.events import Event
     from trajeval_ros.metrics.evaluation import Evaluation
 
 Change: TypeAlias = Callable[[Trajectory], Trajectory]
@@ -47,6 +48,7 @@ class Inputs:
     # All groundtruth states, and the poses in the order of their receive times; None if these are
     # the two sides.
     streams: tuple[Trajectory, Trajectory] | None = None
+    events: Sequence[Event] | None = None  # discontinuities of the two sides, if they are known
 
     @classmethod
     def of(cls, groundtruth: Trajectory, estimate: Trajectory) -> Inputs:
@@ -67,7 +69,8 @@ class Inputs:
         streams = self.streams
         if streams is not None:
             streams = groundtruth(streams[0]), estimate(streams[1])
-        return Inputs(groundtruth(self.groundtruth), estimate(self.estimate), pairs, streams)
+        sides = groundtruth(self.groundtruth), estimate(self.estimate)
+        return Inputs(*sides, pairs, streams, self.events)
 
     def evaluated(self, protocol: Protocol) -> Evaluation:
         """Associate, unless there are pairs, align and compute the errors."""
@@ -131,13 +134,13 @@ def at_discontinuities(inputs: Inputs, rule: DiscontinuityRule, offset_s: float)
     if not rule.changes_inputs:
         return inputs
     offset_ns = round(offset_s * NANOSECONDS)
-    groundtruth, estimate = inputs.groundtruth, inputs.estimate
+    groundtruth, estimate, events = inputs.groundtruth, inputs.estimate, inputs.events
     if rule.correct_clock_steps:
-        events = discontinuities(groundtruth, estimate, offset_ns)
+        events = events or discontinuities(groundtruth, estimate, offset_ns)
         groundtruth = without_clock_steps(groundtruth, events, GROUNDTRUTH)
-        estimate = without_clock_steps(estimate, events, ESTIMATE, offset_ns)
+        estimate, events = without_clock_steps(estimate, events, ESTIMATE, offset_ns), None
     if rule.drop_groundtruth_outliers:
-        events = discontinuities(groundtruth, estimate, offset_ns)
+        events = events or discontinuities(groundtruth, estimate, offset_ns)
         kept = without_groundtruth_outliers(groundtruth, events)
         number = len(groundtruth) - len(kept)
         text = (
