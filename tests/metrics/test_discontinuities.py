@@ -141,9 +141,28 @@ def test_a_forward_clock_step_is_measured_by_the_motion(side: str, step_s: float
     stamps = pair[place].stamps.copy()
     stamps[inside(pair[place], AT_S, np.inf)] += round(step_s * NANOSECONDS)
     pair[place] = dataclasses.replace(pair[place], stamps=stamps)
-    event = only(discontinuities(pair[0], pair[1]))
+    events = discontinuities(pair[0], pair[1])
+    event = only(events)
     assert (event.kind, event.side, event.certainty) == ("clock_step", side, "likely")
     assert event.s == pytest.approx(step_s, abs=0.02)
+    corrected = without_clock_steps(pair[place], events, side)
+    assert np.abs(corrected.stamps - sides(862)[place].stamps).max() < 0.02 * NANOSECONDS
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("steps_s", [(0.917, 1.417), (-0.917, -1.417), (0.917, -1.417)])
+def test_a_second_clock_step_is_corrected(side: str, steps_s: tuple[float, float]) -> None:
+    pair = list(sides(863))
+    place = SIDES.index(side)
+    true = pair[place].stamps
+    stamps = true.copy()
+    for at_s, step_s in zip((AT_S - 15.0, AT_S), steps_s, strict=True):
+        stamps[inside(pair[place], at_s, np.inf)] += round(step_s * NANOSECONDS)
+    pair[place] = dataclasses.replace(pair[place], stamps=stamps)
+    events = discontinuities(pair[0], pair[1])
+    assert [(event.kind, event.side) for event in events] == [("clock_step", side)] * 2
+    corrected = without_clock_steps(pair[place], events, side)
+    assert np.abs(corrected.stamps - true).max() < 0.05 * NANOSECONDS
 
 
 @pytest.mark.parametrize("batch_s", [0.07, 1.0])

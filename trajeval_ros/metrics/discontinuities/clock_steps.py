@@ -60,8 +60,16 @@ class ClockSteps:
             matched = self._by_motion(number, before_s, after_s, limit_m)
             if matched is not None:
                 size_s, row = matched
-                self._source.streams[number].shift_from(row, size_s)
-                self.add(number, StampStep(before_s, size_s, is_sure=False))
+                stream = self._source.streams[number]
+                last_s = float(stream.stamps[row - 1])
+                stream.shift_from(row, size_s)
+                # Timestamps that step back are known before the pairs are searched.
+                for event in self._events:
+                    is_later = event.kind == CLOCK_STEP and event.t_ns > self.ns(last_s)
+                    if is_later and event.side == SIDES[number]:
+                        event.t_ns -= round(size_s * NANOSECONDS)
+                        event.end_ns = event.t_ns
+                self.add(number, StampStep(last_s, size_s, is_sure=False))
                 self._source.rewind(before_s)
                 return True
         return False

@@ -50,7 +50,8 @@ def without_clock_steps(
 ) -> Trajectory:
     """Return one side with the timestamps of its clock before the first step, in order of time.
 
-    The steps of both clocks together are kept. `offset_ns` is that of `discontinuities`.
+    The steps of both clocks together are kept. `offset_ns` is that of `discontinuities`. Events
+    are at times that are corrected for the steps before them.
     """
     steps = [event for event in events if event.kind == CLOCK_STEP and event.side == side]
     if not steps:
@@ -62,7 +63,7 @@ def without_clock_steps(
     stamps = trajectory.stamps[order] + offset_ns
     corrected = stamps.copy()
     for event in steps:
-        last = np.flatnonzero(np.abs(stamps - event.t_ns) <= _SAME_NS)
+        last = np.flatnonzero(np.abs(corrected - event.t_ns) <= _SAME_NS)
         if len(last):
             corrected[last[0] + 1 :] -= round(event.s * NANOSECONDS)
     return dataclasses.replace(trajectory[order], stamps=corrected - offset_ns).in_order()

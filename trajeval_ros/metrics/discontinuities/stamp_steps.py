@@ -32,7 +32,7 @@ Message: TypeAlias = tuple[float, Floats, float | None]  # stamp, pose (K,), rec
 
 @dataclass(frozen=True)
 class StampStep:
-    """A step of a clock: the stamp before it, and its size, seconds."""
+    """A step of a clock: the corrected stamp before it, and its size, seconds."""
 
     at_s: float
     size_s: float
@@ -243,10 +243,11 @@ class StampSteps:
         else:
             is_step = size_s < 0.0
         if is_step:
+            at_s = candidate.at_s + self.shift_s
+            step = StampStep(at_s, size_s, candidate.has_receive_times)
             self.shift_s -= size_s
             self._leads = deque(leads, maxlen=_LEADS)
             self._highest_lead_s = max(leads, default=-math.inf)
-            step = StampStep(candidate.at_s, size_s, candidate.has_receive_times)
         return [self._corrected(message) for message in candidate.messages], step
 
     def _corrected(self, message: Message) -> Message:
