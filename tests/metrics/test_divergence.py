@@ -91,6 +91,23 @@ def test_an_estimate_that_holds_with_noise_diverges(noise_m: float) -> None:
     assert event.moved_m < 0.2 * event.m
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_the_noise_of_a_car_that_stops_is_no_divergence(seed: int) -> None:
+    """Ratios to the distance are learned while it drives; at rest noise exceeds them."""
+    seconds, true = curve(3.0 * AT_S, 8.0)
+    speed = np.clip(np.abs((seconds - 10.0) % 45.0 - 30.0) - 5.0, 0.0, 4.0) / 4.0
+    path_s = np.cumsum(speed) * PERIOD_S
+    true = true[np.minimum(np.rint(path_s / PERIOD_S).astype(int), len(true) - 1)]
+    true[:, :3] = np.column_stack(
+        [8.0 * np.sin(0.3 * path_s) / 0.3, 8.0 * np.cos(0.3 * path_s) / 0.3, 0.0 * path_s]
+    )
+    own, random = true.copy(), np.random.default_rng(seed)
+    for side in (true, own):
+        side[:, :3] += random.normal(0.0, 0.02, (len(side), 3))
+    events, _ = events_of(seconds, true, own)
+    assert not events
+
+
 def test_a_scale_that_grows_is_a_divergence() -> None:
     seconds, true = curve(AT_S + 20.0, 1.5)
     begin = int(seconds.searchsorted(AT_S))

@@ -31,6 +31,9 @@ _DRIFT = 0.06, 0.3  # bounds of a ratio that is not usual
 # Sums of the excesses, in limits: of one displacement, since a jump is in one; in the frames and
 # in the bodies; and the largest. One sum of the smaller excess names good estimates, too.
 _MOST_EXCESS, _LEAST_SUMS, _MOST_SUM = 1.0, (3.0, 2.0), 12.0
+# Multiple of the mean difference of one displacement that the sum of all has in a divergence: of
+# noise, the sum differs by as much as one. More delays an alarm.
+_TIMES_STEP = 2.0
 # Scale of an estimate that never agreed, now and relative to its first value.
 _RUNAWAY, _RUNAWAY_SINCE = 0.1, 1.0 / 3.0
 _AGREES_AGAIN, _AGREES_M = 6, 0.5  # displacements that end a divergence, and their path
@@ -48,7 +51,7 @@ class Divergence:
     Displacements of the estimate are rotated and scaled to those of the groundtruth by the fit of
     the last ones, in the frames and in the bodies, because after a restart in another frame only
     the latter agree; without orientations, their lengths. An estimate diverges if both sums exceed
-    their limits.
+    their limits, and the displacement since their begin differs, too: noise does not add up.
     """
 
     def __init__(self) -> None:
@@ -116,6 +119,7 @@ class Divergence:
         if self._rotations is not None:
             excess, of_body = (ratio / self._limit - 1.0 for ratio in self._ratios_of(steps))
             if self._sum or self._is_lost or self._runs_away or (excess > 0.0).any():
+                apart_m = self._apart_m(steps)[0]
                 scale = self._scale if self._agreed else self._first_scale
                 columns = (
                     *spans,
@@ -124,8 +128,9 @@ class Divergence:
                     excess,
                     of_body,
                 )
-                for row in zip(*(column.tolist() for column in columns), strict=True):
-                    self._follow(*row)
+                rows = zip(*(column.tolist() for column in columns), strict=True)
+                for row, step_m in zip(rows, apart_m.T, strict=True):
+                    self._follow(*row, apart_m=step_m)
         self._chunk = np.hstack([self._chunk, steps])
         if self._chunk.shape[1] == _CHUNK:
             if self._is_lost:
@@ -142,13 +147,19 @@ class Divergence:
         moved_m: float,
         excess: float,
         of_body: float,
+        *,
+        apart_m: Floats,
     ) -> None:
-        """Accumulate one step; begin, extend or end an event."""
+        """Accumulate one step that differs by (3,); begin, extend or end an event."""
         if self._sum == 0.0 and not self._is_lost:
             if excess <= 0.0 and not self._runs_away:
                 return
             self._begin_ns, self._since_m, self._moved_m = begin_ns, 0.0, 0.0
             self._of_body = self._before = 0.0
+            self._apart_since_m, self._lengths_since_m, self._steps_since = np.zeros(3), 0.0, 0
+        self._apart_since_m = self._apart_since_m + apart_m
+        self._lengths_since_m += float(np.linalg.norm(apart_m))
+        self._steps_since += 1
         self._since_m += groundtruth_m
         self._moved_m += moved_m
         self._sum = _accumulated(self._sum, excess)
@@ -157,7 +168,13 @@ class Divergence:
         self._before = of_body
         if not self._is_lost:
             if self._agreed:
-                if self._sum < _LEAST_SUMS[0] or self._of_body < _LEAST_SUMS[1]:
+                lasted_s = (end_ns - self._begin_ns) / NANOSECONDS
+                usual_m = max(
+                    self._limit * (self._since_m + _NOISE_MPS * lasted_s),
+                    _TIMES_STEP * self._lengths_since_m / self._steps_since,
+                )
+                is_noise = np.linalg.norm(self._apart_since_m) < usual_m
+                if self._sum < _LEAST_SUMS[0] or self._of_body < _LEAST_SUMS[1] or is_noise:
                     return
             elif self._runs_away:
                 self._begin_ns, self._ran_away = self._first or 0, True
@@ -181,12 +198,16 @@ class Divergence:
 
         Without orientations, differences of lengths take the place of those in the bodies.
         """
-        assert self._rotations is not None
-        moved, true = steps[_ESTIMATE].reshape(2, 3, -1), steps[_GROUNDTRUTH].reshape(2, 3, -1)
-        apart_m, in_body_m = _lengths(self._scale * self._rotations @ moved - true)
+        apart_m, in_body_m = _lengths(self._apart_m(steps))
         lengths_m = np.abs(self._scale * steps[_ESTIMATE_M] - steps[_GROUNDTRUTH_M])
         unit_m = steps[_GROUNDTRUTH_M] + _NOISE_MPS * steps[_TIME_S]
         return apart_m / unit_m, np.where(np.isnan(in_body_m), lengths_m, in_body_m) / unit_m
+
+    def _apart_m(self, steps: Floats) -> Floats:
+        """Return the differences (2, 3, n) of displacements, in the frames and in the bodies."""
+        assert self._rotations is not None
+        moved, true = steps[_ESTIMATE].reshape(2, 3, -1), steps[_GROUNDTRUTH].reshape(2, 3, -1)
+        return np.asarray(self._scale * self._rotations @ moved - true)
 
     def _learn(self, steps: Floats) -> None:
         """Fit rotation and scale to steps (15, n) and those before, and learn the differences."""
