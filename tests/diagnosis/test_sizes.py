@@ -73,6 +73,25 @@ def test_a_rate_of_the_clock(ppm: float) -> None:
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: pair.name)
+def test_a_restart_with_another_clock_is_no_rate(pair: Pair) -> None:
+    """The estimator restarts at its origin, 1 s late: one rate for both parts helps neither."""
+    estimate = pair.estimate
+    assert estimate.quaternions is not None
+    row = len(estimate) // 2
+    back = lie.heading(lie.conjugate(estimate.quaternions[row : row + 1]))
+    positions, quaternions = estimate.positions.copy(), estimate.quaternions.copy()
+    positions[row:] = lie.rotate(back, positions[row:] - positions[row])
+    quaternions[row:] = lie.multiply(back, quaternions[row:])
+    stamps = estimate.stamps.copy()
+    stamps[row:] += 1_000_000_000
+    restarted = dataclasses.replace(
+        estimate, stamps=stamps, positions=positions, quaternions=quaternions
+    )
+    kept = np.delete(np.arange(len(estimate)), np.arange(row - 20, row))  # in a gap of 1 s
+    assert "clock_drift" not in [finding.cause for finding in findings(pair, restarted[kept])]
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: pair.name)
 @pytest.mark.parametrize("deg", [0.0, 2.0, 7.0, 40.0, 90.0, 180.0])
 def test_a_rotation_of_the_body(pair: Pair, deg: float) -> None:
     body = Rotation.from_rotvec(np.radians(deg) * np.array([0.0, 0.6, 0.8]))

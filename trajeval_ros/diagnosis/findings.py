@@ -52,6 +52,7 @@ WITHHELD_DEG = 180.0  # rotations are withheld where they disagree with position
 # Ratios of errors: a decrease beyond rounding, and an increase by the drift in both errors.
 _FALLS, _GROWS = 0.999, 1.05
 _CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in place of the position
+_LARGE_RATE_PPM = 1500.0  # clocks differ by less, times from a wrong frame rate by more
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,15 @@ class Finding:
             },
             {name: value for name, value in seen.values.items() if isinstance(value, float)},
         )
+
+    def is_confirmed_by(self, tried: Verification) -> bool:
+        """Return whether its correction does not contradict it.
+
+        A large rate of a clock makes most of an error; otherwise a step in the run looks like it.
+        """
+        if abs(self.evidence.get("ppm", 0.0)) > _LARGE_RATE_PPM and min(tried.ratios) > _CLEARLY:
+            return False
+        return not tried.raises_errors(self.cause)
 
     def without_advice(self, *, is_possible: bool) -> Finding:
         """Return the finding for a correction that does not help, or that is not possible."""

@@ -40,7 +40,7 @@ def verified(diagnosis: Diagnosis, before: Evaluation | None, reevaluate: Reeval
         with contextlib.suppress(TrajevalError):
             after = reevaluate(steps)
             is_possible, tried = True, Verification.of(before, after, " and ".join(options))
-            if not tried.raises_errors(first.cause):
+            if first.is_confirmed_by(tried):
                 checked = dataclasses.replace(first, tried=tried)
                 break
         if len(steps) == 1:
