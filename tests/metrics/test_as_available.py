@@ -397,7 +397,7 @@ def test_keyframes_change_the_order_without_any_latency(shared_data: Path) -> No
 
 def test_a_figure_shows_errors_ages_and_latencies() -> None:
     pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
-    from trajeval_ros.report.figures import as_available_figure
+    from trajeval_ros.report.available_figure import as_available_figure
 
     truth, estimate = on_line(gap=(40.0, 41.0))
     result = measured(truth, estimate)

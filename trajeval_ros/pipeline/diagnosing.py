@@ -60,7 +60,7 @@ def diagnose(
     sides = inputs.groundtruth, inputs.estimate
     paired = inputs.pairs is not None
     evaluation, diagnosis = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
-    return verified(diagnosis, evaluation, _knowing(evaluation, reevaluate)), ""
+    return verified(diagnosis, evaluation, _with_events_of(evaluation, reevaluate)), ""
 
 
 def diagnosed(
@@ -80,13 +80,13 @@ def diagnosed(
     evaluation, diagnosis = diagnose_evaluation(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
         diagnosis = diagnosis.after_hand_eye_calibration()
-    diagnosis = verified(diagnosis, evaluation, _knowing(evaluation, reevaluate))
+    diagnosis = verified(diagnosis, evaluation, _with_events_of(evaluation, reevaluate))
     require_same_body(evaluation, diagnosis)
     remarks = (*remarks_on(evaluation, diagnosis, paired=paired), *evaluation.remarks)
     return dataclasses.replace(evaluation, remarks=remarks), diagnosis
 
 
-def _knowing(evaluation: Evaluation, reevaluate: Callable[..., Evaluation]) -> Reevaluate:
+def _with_events_of(evaluation: Evaluation, reevaluate: Callable[..., Evaluation]) -> Reevaluate:
     """Return what evaluates again with the discontinuities of an evaluation."""
     return functools.partial(reevaluate, events=evaluation.events)
 
