@@ -53,7 +53,7 @@ def test_the_number_of_runs_with_figures_and_their_formats_are_chosen(tmp_path: 
     folded = text.split("<details ")[1:]
     # The runs with the largest errors have figures, all have numbers.
     assert ["<svg" in item for item in folded] == [False, False, True, True]
-    assert "Figures are drawn for 2 runs: those with the largest error" in text
+    assert "Figures are drawn for 2 runs with the largest error" in text
     # Other figures are drawn without an evaluation; none leave no figure of before.
     records = (out / "runs" / "all.records").read_bytes()
     assert main([*command, "--figures", "0"]) == 0

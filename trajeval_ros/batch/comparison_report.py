@@ -245,8 +245,8 @@ def _findings(
         )
     if choice.most and 0 < drawn < len(trials) - len(lost):
         findings.append(
-            f"Figures are drawn for {drawn} runs: those with the largest error relative to the "
-            "median of their sequence. --figures N sets the number."
+            f"Figures are drawn for {counted(drawn, 'run')} with the largest error relative to "
+            "the median of their sequence. --figures N sets the number."
         )
     sequences = len(_sequences(summary, choice.most))
     if choice.most and (
