@@ -5,7 +5,6 @@ PYTHON ?= python3
 VENV := .venv
 JAZZY := .venv-jazzy
 ROS := .venv-ros
-REAL := .venv-real
 COLCON := .venv-colcon
 EVO := .venv-evo
 CONFORMANCE := .venv-conformance
@@ -24,7 +23,7 @@ ROS_TEST_DOMAIN ?= 71
 # Where there are no wheels of ROS 2, the demo is about a recording alone.
 HAS_ROS_WHEELS := import platform, sys; sys.exit((sys.platform, platform.machine()) != \
 	("linux", "x86_64") or sys.version_info > (3, 13))
-DEMO = $(if $(shell $(PYTHON) -c '$(HAS_ROS_WHEELS)' && echo yes),$(ROS),$(VENV))
+DEMO := $(if $(shell $(PYTHON) -c '$(HAS_ROS_WHEELS)' && echo yes),$(ROS),$(VENV))
 # Discovery must not leave this machine, and a robot's own domain must not hear of us.
 ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"' EXIT && \
 	ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(ROS_TEST_DOMAIN)
@@ -32,6 +31,8 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 # Containers often forbid bytecode. Then every process compiles the package again, and every worker
 # of the tests rewrites all of them, which takes a third of the time of `make test`.
 export PYTHONDONTWRITEBYTECODE :=
+# pip would compile modules that nothing imports, which takes two thirds of an environment's time.
+export PIP_COMPILE := 0
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -52,8 +53,8 @@ demo: ## Evaluate a simulated flight live and recorded, draw it in Rerun; see de
 SECONDS ?= 60
 ESTIMATORS ?= small_gicp kiss_icp
 
-demo-real: $(REAL)/.installed ## Evaluate real lidar odometry live and recorded; SECONDS=60 REAL_TIME=1.
-	$(ALONE) OPENBLAS_NUM_THREADS=1 $(REAL)/bin/python -m examples.lidar_odometry.demo demo_real_output \
+demo-real: $(DEMO)/.estimators ## Evaluate real lidar odometry live and recorded; SECONDS=60 REAL_TIME=1.
+	$(ALONE) OPENBLAS_NUM_THREADS=1 $(DEMO)/bin/python -m examples.lidar_odometry.demo demo_real_output \
 		--seconds $(SECONDS) $(if $(REAL_TIME),--real-time) --estimators $(ESTIMATORS)
 
 # Each process has one thread of linear algebra: more of them than cores wait for each other.
@@ -70,8 +71,8 @@ NICE ?=
 test: $(VENV)/.installed ## Run the tests that take minutes; browsers, viewers, clusters and ROS are left out.
 	$(VENV)/bin/$(PYTEST_ALL_CORES) $(FAST)
 
-test-real: $(REAL)/.installed ## Run the tests of real estimators, in the environment of `make demo-real`.
-	$(ALONE) $(REAL)/bin/python -m pytest -m ros -k small_gicp \
+test-real: $(DEMO)/.estimators ## Run the tests of real estimators, beside `make demo-real`.
+	$(ALONE) $(DEMO)/bin/python -m pytest -m ros -k small_gicp \
 		tests/ros/test_lidar_odometry.py
 
 # Some wait for viewers and browsers, so there is one process more than cores.
@@ -202,9 +203,9 @@ mutate: $(MUTATE)/.installed ## Change lines of a subpackage at random, and list
 	OPENBLAS_NUM_THREADS=1 $(MUTATE)/bin/python tests/support/mutants.py $(SUBPACKAGE)
 
 audit: $(AUDIT)/.installed ## Look locked packages up in PyPI's database of known vulnerabilities.
-	@status=0; for each in constraints.txt constraints-ros.txt; do \
-		echo "$$each:"; \
-		$(AUDIT)/bin/pip-audit --strict --no-deps --disable-pip --requirement $$each || status=1; \
+	@status=0; for constraints in constraints.txt constraints-ros.txt; do \
+		echo "$$constraints:"; \
+		$(AUDIT)/bin/pip-audit --strict --no-deps --disable-pip --requirement $$constraints || status=1; \
 	done; exit $$status
 
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
@@ -226,7 +227,7 @@ colcon-environment: $(COLCON)/.installed
 ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(ROS) $(REAL) $(COLCON) $(EVO) $(CONFORMANCE) $(ORACLES) $(LOCK) $(ATHERIS) $(MUTATE) \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(CONFORMANCE) $(ORACLES) $(LOCK) $(ATHERIS) $(MUTATE) \
 		$(AUDIT) $(SITE) site build install log dist *.egg-info \
 		demo_output demo_real_output conformance/results benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
@@ -243,40 +244,31 @@ $(PYTHON) -m venv --clear $(@D)
 touch $(@D)/COLCON_IGNORE
 endef
 
+PIP_INSTALL = $(@D)/bin/python -m pip install --quiet
+
 $(VENV)/.installed: pyproject.toml setup.py constraints.txt
 	$(make_venv)
-	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	$(PIP_INSTALL) --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
 $(JAZZY)/.installed: pyproject.toml setup.py constraints-jazzy.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] > (3, 12))' || \
 		{ echo "numpy 1.26.4 has wheels up to Python 3.12; choose one: make PYTHON=..." >&2; exit 2; }
 	$(make_venv)
-	$(JAZZY)/bin/python -m pip install --quiet --constraint constraints-jazzy.txt \
-		--editable ".[test]"
+	$(PIP_INSTALL) --constraint constraints-jazzy.txt --editable ".[test]"
 	touch $@
 
 $(ROS)/.installed: pyproject.toml setup.py constraints-ros.txt constraints.txt .ci/rerun-requirements.txt
 	$(make_venv)
-	$(ROS)/bin/python -m pip install --quiet --constraint constraints-ros.txt \
+	$(PIP_INSTALL) --constraint constraints-ros.txt \
 		--requirement .ci/rerun-requirements.txt --editable ".[ros,plot,test]"
-	$(ROS)/bin/python -m pip install --quiet --constraint constraints.txt --no-deps rerun-sdk
+	$(PIP_INSTALL) --constraint constraints.txt --no-deps rerun-sdk
 	touch $@
 
 # Estimators without wheels are left out; the demo names them.
-$(REAL)/.installed: pyproject.toml setup.py constraints-ros.txt constraints.txt \
-		.ci/rerun-requirements.txt .ci/demo-real-requirements.txt
-	$(make_venv)
-ifeq ($(DEMO),$(ROS))
-	$(REAL)/bin/python -m pip install --quiet --constraint constraints-ros.txt \
-		--requirement .ci/rerun-requirements.txt --editable ".[ros,plot,test]"
-	$(REAL)/bin/python -m pip install --quiet --constraint constraints.txt --no-deps rerun-sdk
-else
-	$(REAL)/bin/python -m pip install --quiet --constraint constraints.txt \
-		--editable ".[rerun,plot,test]"
-endif
-	grep -v '^#' .ci/demo-real-requirements.txt | while read -r each; do \
-		$(REAL)/bin/python -m pip install --quiet --only-binary :all: "$$each" || true; \
+$(DEMO)/.estimators: $(DEMO)/.installed .ci/demo-real-requirements.txt
+	grep -v '^#' .ci/demo-real-requirements.txt | while read -r requirement; do \
+		$(PIP_INSTALL) --only-binary :all: "$$requirement" || true; \
 	done
 	touch $@
 
@@ -288,54 +280,52 @@ $(ROS)/.tf2_msgs: $(ROS)/.installed .ci/make_tf2_msgs .ci/tf2_msgs-requirements.
 
 $(COLCON)/.installed: pyproject.toml setup.py constraints.txt .ci/colcon-requirements.txt
 	$(make_venv)
-	$(COLCON)/bin/python -m pip install --quiet --constraint constraints.txt \
+	$(PIP_INSTALL) --constraint constraints.txt \
 		--requirement .ci/colcon-requirements.txt --editable .
 	$(COLCON)/bin/python -m pip uninstall --quiet --yes trajeval-ros  # colcon builds it
 	touch $@
 
 $(EVO)/.installed: benchmarks/requirements.txt constraints.txt
 	$(make_venv)
-	$(EVO)/bin/python -m pip install --quiet --constraint constraints.txt \
-		--requirement benchmarks/requirements.txt
+	$(PIP_INSTALL) --constraint constraints.txt --requirement benchmarks/requirements.txt
 	touch $@
 
 # PyPose needs torch, so this environment has 1.4 GB.
 $(CONFORMANCE)/.installed: conformance/requirements.txt
 	$(make_venv)
-	$(CONFORMANCE)/bin/python -m pip install --quiet --requirement conformance/requirements.txt
+	$(PIP_INSTALL) --requirement conformance/requirements.txt
 	touch $@
 
 # atheris has wheels for Python 3.11 to 3.13 on Linux.
 $(ATHERIS)/.installed: pyproject.toml setup.py constraints.txt
 	$(make_venv)
-	$(ATHERIS)/bin/python -m pip install --quiet --constraint constraints.txt --editable . atheris==3.0.0
+	$(PIP_INSTALL) --constraint constraints.txt --editable . atheris==3.0.0
 	touch $@
 
 $(MUTATE)/.installed: pyproject.toml setup.py constraints.txt
 	$(make_venv)
-	$(MUTATE)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]" \
-		cosmic-ray==8.7.0
+	$(PIP_INSTALL) --constraint constraints.txt --editable ".[dev]" cosmic-ray==8.7.0
 	touch $@
 
 $(AUDIT)/.installed:
 	$(make_venv)
-	$(AUDIT)/bin/python -m pip install --quiet pip-audit==2.10.1
+	$(PIP_INSTALL) pip-audit==2.10.1
 	touch $@
 
 $(SITE)/.installed: pyproject.toml setup.py constraints.txt .ci/site-requirements.txt
 	$(make_venv)
-	$(SITE)/bin/python -m pip install --quiet --constraint constraints.txt \
+	$(PIP_INSTALL) --constraint constraints.txt \
 		--requirement .ci/site-requirements.txt --editable ".[compare]"
 	touch $@
 
 # Wheels for Linux and macOS.
 $(ORACLES)/.installed: pyproject.toml setup.py constraints.txt .ci/oracles-requirements.txt
 	$(make_venv)
-	$(ORACLES)/bin/python -m pip install --quiet --constraint constraints.txt \
+	$(PIP_INSTALL) --constraint constraints.txt \
 		--requirement .ci/oracles-requirements.txt --editable ".[test]"
 	touch $@
 
 $(LOCK)/.installed:
 	$(make_venv)
-	$(LOCK)/bin/python -m pip install --quiet uv
+	$(PIP_INSTALL) uv
 	touch $@
