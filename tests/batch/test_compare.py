@@ -58,6 +58,7 @@ def test_nothing_is_done_twice(tmp_path: Path) -> None:
     assert (tmp_path / "out" / RUNS).read_bytes() == table
 
 
+@pytest.mark.slow
 def test_only_what_changed_is_done_again(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     _, before = run(config)
@@ -71,6 +72,7 @@ def test_only_what_changed_is_done_again(tmp_path: Path) -> None:
     assert after.of("bad", "yard")[1].rmse["position_m"] > 0.5
 
 
+@pytest.mark.slow
 def test_a_change_of_the_same_size_at_the_same_time_is_seen(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     path = tmp_path / "bad" / "yard_trial1.txt"
@@ -267,6 +269,7 @@ def test_lengths_of_every_unit_are_in_tables_and_figures(
     assert {plot.axis for plot in plots} == {f"length of sub-trajectory {across}".rstrip()}
 
 
+@pytest.mark.slow
 def test_the_table_has_a_row_per_run_metric_and_length_with_provenance(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     run(config)
@@ -286,6 +289,7 @@ def test_the_table_has_a_row_per_run_metric_and_length_with_provenance(tmp_path:
     assert len(item) == len(rows)
 
 
+@pytest.mark.slow
 def test_urls_are_sources_too(tmp_path: Path) -> None:
     pytest.importorskip("upath", reason="universal-pathlib is missing, the extra `remote`")
     import fsspec
@@ -314,6 +318,7 @@ def test_urls_are_sources_too(tmp_path: Path) -> None:
         plan_of(remote, {})
 
 
+@pytest.mark.slow
 def test_a_folder_that_can_not_be_written_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

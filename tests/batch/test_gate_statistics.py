@@ -131,6 +131,7 @@ def samples(sizes: Sequence[tuple[int, int]], z: Sequence[Floats]) -> list[Sampl
     return [Sample(*np.split(own, [old])) for (old, _), own in zip(sizes, z, strict=True)]
 
 
+@pytest.mark.slow
 @given(runs())
 @settings(max_examples=60, deadline=None)
 def test_laws(made: tuple[list[tuple[int, int]], list[Floats]]) -> None:

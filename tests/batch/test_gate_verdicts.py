@@ -21,6 +21,7 @@ from trajeval_ros.batch.gates_output import to_markdown
 from trajeval_ros.exceptions import SettingsError
 
 
+@pytest.mark.slow
 def test_the_margin_is_what_may_change(tmp_path: Path) -> None:
     before, now = trials_of(11, 5), trials_of(11, 5, 1.3, seed=1)
     words = [
@@ -163,6 +164,7 @@ def test_copies_of_a_run_are_one_trial(tmp_path: Path) -> None:
     assert "counted once: 18" in to_markdown(judgement, "runs", [])
 
 
+@pytest.mark.slow
 def test_gates_are_one_family_with_one_level(tmp_path: Path) -> None:
     before, now = trials_of(11, 10), trials_of(11, 10, 1.1, seed=1)
     untested = "association.groundtruth_coverage worse than 50 % untested"
@@ -196,6 +198,7 @@ def test_bounds_and_verdict_agree(gates: int, tmp_path: Path) -> None:
     assert words == {"worse", "undecided", "no worse"}
 
 
+@pytest.mark.slow
 def test_what_would_have_been_noticed_stands_beside_every_verdict(tmp_path: Path) -> None:
     for factor in (1.0, 1.02, 1.3, 0.5):
         text = to_markdown(judged(tmp_path, trials_of(11, 5), trials_of(11, 5, factor, seed=1)),
@@ -290,6 +293,7 @@ def test_json_says_of_failed_runs_what_the_verdict_on_them_says(tmp_path: Path) 
     assert lost["gates"][0]["numbers"][0]["reason"] == "tracking was lost"
 
 
+@pytest.mark.slow
 def test_one_verdict_of_all_gates(tmp_path: Path) -> None:
     loose, strict = (f"ate.position_m.rmse worse than {item} %" for item in (90, 1))
     before, same = trials_of(11, 5), trials_of(11, 5, seed=1)

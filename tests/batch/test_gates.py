@@ -112,6 +112,7 @@ def test_the_same_runs_are_not_worse(today: Path, yesterday: Path) -> None:
     assert set(verdicts(today, yesterday).values()) <= {"undecided", "no worse"}
 
 
+@pytest.mark.slow
 def test_what_is_worse_in_all_trials_is_worse_and_the_other_way_no_worse(
     today: Path, yesterday: Path
 ) -> None:

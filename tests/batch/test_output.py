@@ -233,6 +233,7 @@ def test_the_hash_is_of_names_and_bytes(tmp_path: Path, monkeypatch: pytest.Monk
     assert len({*first, *drawn, *changed, *hashes()}) == 7
 
 
+@pytest.mark.slow
 def test_all_that_numbers_come_from_is_hashed() -> None:
     package = ROOT / "trajeval_ros"
 

@@ -180,6 +180,7 @@ def test_positions_alone_have_the_estimate_moved_to_the_marker(gauge: Gauge) -> 
     assert given.after.position_m == pytest.approx(result.after.position_m, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_lever_arm_along_the_only_axis_is_not_said_to_be_known() -> None:
     times = np.arange(0.0, 120.0, 0.02)
     random = np.random.default_rng(0)
@@ -271,6 +272,7 @@ def test_a_body_that_hardly_moves_has_no_scale_beside_its_lever_arm() -> None:
         evaluate_calibrated(truth, about, SIM3, CalibrationRequest(known=LEVER, source="x.yaml"))
 
 
+@pytest.mark.slow
 def test_all_estimates_share_the_first_one_s_calibration(
     files: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -408,6 +410,7 @@ def test_the_inverse_of_what_is_needed_is_refused(pair: tuple[Trajectory, Trajec
     assert result.evaluation.groundtruth.child_frame == "imu"
 
 
+@pytest.mark.slow
 def test_a_simulated_marker_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = tmp_path / "flight"
     assert main(["simulate", str(bag), "--marker", "--duration", "60"]) == 0

@@ -188,6 +188,7 @@ def test_verdicts_do_not_depend_on_world_origin_of_time_or_order(
         assert again.causes[name].value == pytest.approx(value, rel=1e-6), name
 
 
+@pytest.mark.slow
 def test_clocks_of_different_epochs() -> None:
     made = rig(1, duration_s=22.0)
     apart = 1_034_771 * 10**9
@@ -321,6 +322,7 @@ def test_figure_of_positions_has_no_axes_of_rotations(
     assert labels == ["position\nresidual [mm]", "lever arm [mm]"]
 
 
+@pytest.mark.slow
 def test_rest_is_inconclusive() -> None:
     result = examined(rig(1, "rest"))
     assert result.significant == []
@@ -346,6 +348,7 @@ def test_a_turntable_has_no_false_verdict() -> None:
     assert result.causes["fused"].verdict == "insignificant"
 
 
+@pytest.mark.slow
 def test_a_gyroscope_alone(faulty: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
     made, _ = faulty
     gyroscope = dataclasses.replace(made.readings, accelerations=None)

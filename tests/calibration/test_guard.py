@@ -79,6 +79,7 @@ def test_a_fit_without_free_directions_stays_at_its_start() -> None:
     np.testing.assert_array_equal(fitted.linearised.residual, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "axis", [0, *(pytest.param(axis, marks=pytest.mark.slow) for axis in (1, 2))]
 )
@@ -105,6 +106,7 @@ def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
 
 
 # Of the first 30 flights those in which the fit of all rows finds a rotation of 1 and of 5 deg.
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["road", "car"])
 @pytest.mark.parametrize("seed", [7, 27])
 def test_attitude_that_drifts_on_its_own_is_no_rotation_of_the_body(kind: str, seed: int) -> None:
@@ -116,6 +118,7 @@ def test_attitude_that_drifts_on_its_own_is_no_rotation_of_the_body(kind: str, s
     assert rotation.reason == significance.POSITIONS_ALONE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["drone", "road"])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_rotation_that_both_kinds_of_rows_show_is_kept(kind: str, seed: int) -> None:

@@ -40,6 +40,7 @@ def assert_same(computed: Calibration, theirs: Calibration, tolerance: float = 1
         assert np.allclose(mine, other, rtol=1e-3, atol=tolerance)
 
 
+@pytest.mark.slow
 @few
 @given(seed=seeds, gauge=st.sampled_from([Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3, Gauge.SIM3]))
 def test_gauge_elements_change_nothing(seed: int, gauge: Gauge) -> None:
@@ -65,6 +66,7 @@ def test_gauge_elements_change_nothing_with_positions_alone(seed: int, gauge: Ga
         assert np.allclose(actual.value, theirs.value, rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 @few
 @given(seed=seeds, shift_s=st.floats(-3.0, 3.0))
 def test_a_shift_of_the_groundtruth_is_the_offset(seed: int, shift_s: float) -> None:

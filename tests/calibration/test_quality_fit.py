@@ -101,6 +101,7 @@ def test_broken_intervals_have_less_weight_from_the_fifth_iteration_on(small: Sm
         np.testing.assert_array_equal(other[:, 9:], one[:, 9:])  # random walks
 
 
+@pytest.mark.slow
 def test_a_solved_fit_is_a_minimum_with_the_noise_of_its_residuals() -> None:
     made = rig(6, duration_s=22.0, lever_m=(0.05, -0.03, 0.02), offset_s=0.004)
     truth, readings = made.groundtruth, made.readings

@@ -29,6 +29,7 @@ def without_rotations(trajectory: Trajectory) -> Trajectory:
     return dataclasses.replace(trajectory, quaternions=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["straight", "static"])
 def test_constant_motion_shows_nothing(kind: str) -> None:
     result = calibrate(*fly(1, 60.0, kind, FAULT))
@@ -112,6 +113,7 @@ def test_positions_alone_show_no_rotation() -> None:
     assert "needs the estimate's orientations" in neither.lever.reason
 
 
+@pytest.mark.slow
 def test_an_offset_beyond_the_search_range_is_named() -> None:
     truth, estimate = fly(1, 60.0, fault=dataclasses.replace(FAULT, offset_s=12.0))
     result = calibrate(truth, estimate)
@@ -148,6 +150,7 @@ def test_without_stamps_or_poses_there_is_nothing_to_compare(side: int) -> None:
         calibrate(*pair)
 
 
+@pytest.mark.slow
 def test_a_skew_is_found_when_asked_for() -> None:
     truth, estimate = fly(1, 180.0, fault=dataclasses.replace(FAULT, skew=5e-5))
     result = calibrate(truth, estimate, with_skew=True, systematic=NONE)

@@ -291,6 +291,7 @@ def test_a_folder_s_sources_are_listed(
     assert f"skipped: {result.left_out[0]}" in told
 
 
+@pytest.mark.slow
 def test_a_folder_s_list_is_bounded(pair: tuple[Path, Path], tmp_path: Path) -> None:
     folder = tmp_path / "many"
     folder.mkdir()

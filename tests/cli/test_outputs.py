@@ -326,6 +326,7 @@ def test_a_flight_of_years_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
         assert f"takes 5 to {longest_s} s" in refused(command, capsys)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names")
 def test_a_file_name_that_is_not_utf_8_has_results(tmp_path: Path) -> None:
     groundtruth = write_run(tmp_path / "g.txt")

@@ -10,6 +10,7 @@ from kept_runs import assert_prints
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "typed"),
     [

@@ -42,6 +42,7 @@ def test_files_are_those_of_the_list() -> None:
     assert sum((KIT / name).stat().st_size for name in files) < 1_500_000
 
 
+@pytest.mark.slow
 def test_trajevals_numbers_are_right_or_withheld_where_the_kit_allows(tmp_path: Path) -> None:
     command = [sys.executable, str(KIT / "adapters" / "run_trajeval.py")]
     result = tmp_path / "trajeval.json"
@@ -99,6 +100,7 @@ def by_page(code: dict[str, Any], folder: Path, quantities: dict[str, Any]) -> d
     return {quantity: answer(quantity) for quantity in quantities}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # no scale without motion
 def test_code_of_the_page_gives_the_values(tmp_path: Path) -> None:
     code = page()

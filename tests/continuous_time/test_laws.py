@@ -176,6 +176,7 @@ def test_few_samples_between_gaps_are_believed(model: str) -> None:
     assert near < 1e-5
 
 
+@pytest.mark.slow
 def test_recordings_with_many_gaps_are_believed(recording: Callable[[str], Trajectory]) -> None:
     groundtruth = recording("tum/fr2_desk_groundtruth.txt").in_order()
     noise = Noise(0.005, math.radians(1.0))
@@ -228,6 +229,7 @@ def test_samples_are_interpolated_as_their_noise_vanishes(model: str, noise: flo
     assert most <= noise**2 * (1.0 + lost_in_rounding(fitted))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["matern", "matern52", "matern32", "wnoa", "wnoj", "linear"])
 @given(seed=seeds)
 @settings(max_examples=5)
@@ -394,6 +396,7 @@ def test_joint_posterior_at_queries_close_to_samples_and_to_each_other(order: in
     assert result == pytest.approx(expected, rel=10 * np.finfo(float).eps / 1e-9)
 
 
+@pytest.mark.slow
 def test_positions_alone_are_enough() -> None:
     motion = smooth(30)
     bare = dataclasses.replace(motion, quaternions=None)
@@ -407,6 +410,7 @@ def test_positions_alone_are_enough() -> None:
         assert not alone.covariances[:, 3:].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_nearly_equal_stamps_are_merged_and_said(model: str) -> None:
     motion = smooth(60)
@@ -435,6 +439,7 @@ def test_no_motion_is_said_and_gives_no_confident_number(model: str) -> None:
     assert np.linalg.eigvalsh(belief.covariances)[:, 0].min() > 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_half_turns_in_a_gap_are_said(model: str) -> None:
     motion = smooth(40)

@@ -142,6 +142,7 @@ def test_a_clock_offset_is_no_lever_arm() -> None:
         assert [finding.cause for finding in diagnosis_of(mistake.make(pair)).findings] == [cause]
 
 
+@pytest.mark.slow
 def test_roll_and_pitch_of_a_vehicle_are_compared() -> None:
     """They are small beside its yaw, and exchanged they can double the rotation error."""
     for kind, seed in (("car", 9711), ("car", 5004), ("robot", 9706), ("robot", 9716)):

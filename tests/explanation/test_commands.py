@@ -105,6 +105,7 @@ def test_commands_give_their_values(tmp_path: Path) -> None:
             assert value == pytest.approx(computed_value, rel=1e-9, abs=1e-9), definition
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("alignment", "statistic", "reason"),
     [

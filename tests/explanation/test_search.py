@@ -63,6 +63,7 @@ def test_numbers_of_evo_are_found_to_all_digits(pair: str, alignment: str, rmse:
     assert numbers[place] == pytest.approx(rmse, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alignment", ["none", "se3", "sim3", "yaw", "se3 by the first state"])
 def test_a_number_of_five_digits_is_named(alignment: str) -> None:
     places, numbers = values("handheld_gaps")
@@ -85,6 +86,7 @@ def test_a_number_without_a_definition_has_none_and_the_nearest() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_single_digit_is_not_named() -> None:
     places, numbers = values("drone_loop")
     rmse = numbers[places[Definition("evo", "se3", "position_m", "rmse")]]
@@ -93,6 +95,7 @@ def test_a_single_digit_is_not_named() -> None:
     assert result.matching > 3
 
 
+@pytest.mark.slow
 def test_two_numbers_of_a_row_have_one_alignment() -> None:
     places, numbers = values("handheld_gaps")
     position, rotation = (
@@ -123,6 +126,7 @@ def test_several_runs_need_fewer_digits() -> None:
     assert result.expected < 0.1 * min(item.expected for item in single)
 
 
+@pytest.mark.slow
 def test_unrelated_numbers_match_as_often_as_expected() -> None:
     """Numbers that are log-uniform within a factor of 2, for which the count is defined."""
     rng = np.random.default_rng(7)
@@ -197,6 +201,7 @@ def test_runs_need_as_many_numbers_each() -> None:
         explain([])
 
 
+@pytest.mark.slow
 def test_states_are_sorted_where_the_protocol_sorts_them() -> None:
     """The numbers of `evaluate` do not depend on the order of lines, and neither do these."""
     truth, estimate = sides("handheld_gaps")
@@ -367,6 +372,7 @@ def test_cases_of_the_reference_are_named(
     assert_accepted(reference("explain")["cases"], tables, least)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [None, 0, 2, 3])
 def test_one_wrong_number_of_four_is_named_with_the_definition(wrong: int | None) -> None:
     pairs = ("drone_loop", "handheld_gaps", "mono_scale", "slow_gt")

@@ -71,6 +71,7 @@ def test_batches_don_t_matter(stamps: list[int], cuts: list[int]) -> None:
     assert (trust.isolated, trust.message) == (whole.isolated, whole.message)
 
 
+@pytest.mark.slow
 def test_nothing_waits_for_ever() -> None:
     trust = OutlierStamps()
     stuck = np.full(10_000, 5 * SECOND)

@@ -165,6 +165,7 @@ def test_a_second_clock_step_is_corrected(side: str, steps_s: tuple[float, float
     assert np.abs(corrected.stamps - true).max() < 0.05 * NANOSECONDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch_s", [0.07, 1.0])
 def test_events_do_not_depend_on_the_batches(batch_s: float) -> None:
     groundtruth, estimate = sides(871)

@@ -50,6 +50,7 @@ def events_of(
     return divergence.events, named
 
 
+@pytest.mark.slow
 @given(
     mps2=st.sampled_from([0.1, 0.3, 1.0, 3.0]),
     speed_mps=st.floats(0.3, 3.0),
@@ -118,6 +119,7 @@ def test_a_scale_that_grows_is_a_divergence() -> None:
     assert AT_S < named_s < AT_S + 10.0
 
 
+@pytest.mark.slow
 @given(
     size=st.integers(20, 400),
     mps2=st.sampled_from([0.3, 3.0]),
@@ -146,6 +148,7 @@ def test_it_ends_and_does_not_depend_on_batches(
         assert dataclasses.asdict(first) == dataclasses.asdict(second) | motions
 
 
+@pytest.mark.slow
 @given(
     size_m=st.floats(0.1, 100.0),
     count=st.integers(1, 3),

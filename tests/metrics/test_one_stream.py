@@ -247,6 +247,7 @@ def test_a_step_is_known_with_the_next_pose() -> None:
     assert at == [estimate.stamps[row + 1]]
 
 
+@pytest.mark.slow
 def test_the_memory_is_that_of_a_minute() -> None:
     groundtruth = simulate(seed=3, duration_s=400.0).groundtruth
     stream = OneStream("groundtruth")

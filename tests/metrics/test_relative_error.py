@@ -209,6 +209,7 @@ def test_errors_of_long_runs_are_measured_again(monkeypatch: pytest.MonkeyPatch)
             np.testing.assert_array_equal(column, getattr(other.errors, name))
 
 
+@pytest.mark.slow
 def test_absolute_errors_by_blocks_are_those_of_all_states_at_once() -> None:
     truth = make_groundtruth(7, 40_000)
     estimate = make_estimate(truth, 8)

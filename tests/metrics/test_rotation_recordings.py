@@ -40,6 +40,7 @@ def test_a_straight_street_of_kitti(kitti: tuple[Trajectory, Trajectory]) -> Non
     assert rotation_warnings(with_poses) == []
 
 
+@pytest.mark.slow
 def test_kitti_with_a_marker_is_refused(kitti: tuple[Trajectory, Trajectory]) -> None:
     truth, estimate = kitti
     assert rotation_warnings(evaluate(truth, estimate, by_frame())) == []

@@ -75,6 +75,7 @@ def adds_of(pairing: Pairing) -> tuple[Any, Any]:
     return pairing.add_groundtruth, pairing.add_estimate
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(
     seed=seeds,

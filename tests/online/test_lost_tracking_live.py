@@ -25,6 +25,7 @@ def rows(trajectory: Trajectory) -> np.ndarray:
     return states(trajectory.positions, trajectory.quaternions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "code", "text"),
     [

@@ -128,6 +128,7 @@ def test_what_waits_is_bounded_and_counted() -> None:
     assert snapshot.warming_up == "no pairs yet"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("max_delay_s", "pairs"), [(20.0, True), (0.0, True), (5.0, False)])
 def test_a_late_estimate_is_paired_within_the_delay_or_told(
     max_delay_s: float, pairs: bool

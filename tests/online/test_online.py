@@ -233,6 +233,7 @@ def test_a_part_of_a_trajectory_does_not_count_what_the_whole_dropped() -> None:
     assert "not_finite" not in evaluator.snapshot().dropped
 
 
+@pytest.mark.slow
 @given(seed=seeds)
 def test_order_of_arrival_within_the_buffer_changes_no_pair(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -276,6 +277,7 @@ def test_groundtruth_that_starts_late_ends_early_or_pauses_is_never_made_up() ->
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_bag_that_is_played_twice_has_the_groundtruth_of_one() -> None:
     buffer = Pairing()
     stamps = (np.arange(3000) * SECOND // 50).astype(np.int64)

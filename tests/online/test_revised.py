@@ -42,6 +42,7 @@ def test_a_pose_is_new_once(versions: list[list[int]]) -> None:
         seen.update(version)
 
 
+@pytest.mark.slow
 @given(seed=seeds, gauge=st.sampled_from([Gauge.YAW, Gauge.SE3, Gauge.SIM3, Gauge.PLANAR]))
 def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
     pair = make_pair(seed, 120, smooth=True)

@@ -22,6 +22,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.window import Window
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["5s", "4m", "37"])
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SIM3])
 def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None:
@@ -82,6 +83,7 @@ def test_a_window_of_the_whole_run_is_the_whole_run(seed: int) -> None:
     assert position.rmse == pytest.approx(snapshot.position_rmse_m, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_lengths_and_window_change_while_it_runs() -> None:
     groundtruth, estimate = make_pair(3, 400)
     short, long = Length(1.0, "m"), Length(2.0, "m")

@@ -82,6 +82,7 @@ def compared(files: Path, *options: str) -> Any:
     return json.loads(output.read_text())
 
 
+@pytest.mark.slow
 def test_the_papers_argument(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = compared(files)
     assert content["degradation"]["samples_left"] < 120

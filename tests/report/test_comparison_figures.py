@@ -75,6 +75,7 @@ def test_an_error_of_zero_keeps_the_axis_linear() -> None:
     assert not BoxPlot(["hall"], [("a", [Box.of([0.0, 0.1, 99.0])])], "", "m").is_logarithmic
 
 
+@pytest.mark.slow
 def test_many_boxes_are_in_rows_and_many_points_are_none() -> None:
     names = [f"sequence_{number}" for number in range(30)]
     many = [Box.of(np.linspace(0.1, 0.9, 21).tolist()) for _ in names]

@@ -178,6 +178,7 @@ def test_relative_error_in_seconds_and_shares() -> None:
     assert "2 m" in mixed
 
 
+@pytest.mark.slow
 def test_errors_that_do_not_exist_have_no_panel() -> None:
     without = _evaluation(quaternions=None)
     assert "rotation error [deg]" not in _texts([without], "relative_error")
@@ -199,6 +200,7 @@ def test_names_are_wrapped_between_their_parts(label: str, lines: list[str]) -> 
     assert canvas.wrapped(label, room_in).split("\n") == lines
 
 
+@pytest.mark.slow
 def test_what_was_not_asked_for_is_not_drawn(tmp_path: Path) -> None:
     planar = _evaluation(protocol=Protocol(gauge=Gauge.PLANAR, lengths=()))
     names = [
@@ -207,6 +209,7 @@ def test_what_was_not_asked_for_is_not_drawn(tmp_path: Path) -> None:
     assert names == ["trajectory_top.png", "absolute_error.png"]
 
 
+@pytest.mark.slow
 def test_one_state_at_rest_can_be_drawn(tmp_path: Path) -> None:
     state = simulate(0, 5.0).groundtruth[:1]
     evaluation = evaluate(state, state, Protocol(gauge=Gauge.TRANSLATION))

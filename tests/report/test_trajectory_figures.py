@@ -185,6 +185,7 @@ def test_trajectories_without_stamps_are_drawn_over_the_index() -> None:
         motion_drawings(["rpy"], [positions], None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("width", "rows"), [("ieee-column", [2, 2, 1]), ("ieee-page", [3, 2])], ids=["narrow", "wide"]
 )

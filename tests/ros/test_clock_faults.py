@@ -111,6 +111,7 @@ def test_clocks_with_nothing_in_common_are_reported_within_three_seconds(
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead_s", [100_000.0, -100_000.0])
 def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
     tmp_path: Path, ahead_s: float
@@ -158,6 +159,7 @@ def test_equal_clocks_are_not_reported_at_any_rate(
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.4, 2.5])
 def test_poses_that_arrive_late_are_a_warning_with_their_delay(
     tmp_path: Path, late_s: float
@@ -195,6 +197,7 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.0, 2.5])
 @pytest.mark.parametrize("rate", [0.3, 5.0])
 def test_lateness_does_not_depend_on_the_rate_of_a_replay(
@@ -244,6 +247,7 @@ def test_low_coverage_names_poses_that_came_too_late_as_its_cause(
     live.end()
 
 
+@pytest.mark.slow
 def test_a_delay_that_grows_is_no_difference_of_clocks(tmp_path: Path) -> None:
     """An estimator that needs 2.5 s per second of data is 11.4 s late after 19 s."""
     live = Live(tmp_path / "live", ODOM)

@@ -138,6 +138,7 @@ def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path:
         assert required["late_messages"] > 0.05 * len(FLIGHT.estimate)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [77, 300])
 def test_transforms_of_a_restart_do_not_mix_with_those_before(size: int, tmp_path: Path) -> None:
     """Also where a batch has the end of one run and the start of the next."""

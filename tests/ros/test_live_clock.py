@@ -39,6 +39,7 @@ def fed(
         clock.update()
 
 
+@pytest.mark.slow
 def test_the_offset_is_that_of_the_recording() -> None:
     groundtruth, estimate = fly(1, 45.0, fault=Fault(0.1, 0.0, (0.3, 0.2, 1.0), (0.1, 0.0, 0.1)))
     clock = OnlineClock(Gauge.YAW)
@@ -60,6 +61,7 @@ def test_clocks_that_are_one_are_left_alone() -> None:
     assert clock.report.offset_s == pytest.approx(0.0, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_nothing_is_said_too_early_or_of_what_doesn_t_move() -> None:
     clock = OnlineClock(Gauge.YAW)
     fed(clock, *fly(1, 30.0))
@@ -201,6 +203,7 @@ def run(folder: Path, feed: list[Message], *, find_offset: bool) -> Live:
     return live
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration_s", [20.0, 40.0])
 def test_an_offset_that_is_asked_for_is_applied_from_the_first_pair_on(
     tmp_path: Path, duration_s: float
@@ -226,6 +229,7 @@ def test_an_offset_that_is_asked_for_is_applied_from_the_first_pair_on(
     assert_same({**actual, "remarks": []}, {**recorded, "remarks": []})
 
 
+@pytest.mark.slow
 def test_an_offset_that_isn_t_there_is_not_applied(tmp_path: Path) -> None:
     live = run(tmp_path / "live", messages(0.0, 62.0), find_offset=True)
     assert not live.run.holds  # a minute has passed
@@ -259,6 +263,7 @@ def test_a_path_is_evaluated_at_once_without_an_offset(tmp_path: Path) -> None:
     assert_same(actual["ate"], recorded["ate"])
 
 
+@pytest.mark.slow
 def test_groundtruth_without_an_estimate_is_not_held(tmp_path: Path) -> None:
     feed = messages(0.1, 140.0)
     later = feed[0][2] + 100 * 10**9
@@ -281,6 +286,7 @@ def test_groundtruth_without_an_estimate_is_not_held(tmp_path: Path) -> None:
     assert_same({**actual, "remarks": []}, {**recorded, "remarks": []})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alone", [GROUNDTRUTH, ESTIMATE])
 def test_no_side_is_waited_for_longer_than_a_minute(tmp_path: Path, alone: str) -> None:
     feed = messages(0.1, 70.0)
@@ -314,6 +320,7 @@ def test_nothing_of_what_is_held_is_dropped(tmp_path: Path) -> None:
     assert min(ends) < feed[0][2] + 20 * 10**9
 
 
+@pytest.mark.slow
 def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path) -> None:
     live = run(tmp_path / "live", messages(0.1, 40.0), find_offset=False)
     live.end()

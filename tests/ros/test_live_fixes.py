@@ -185,6 +185,7 @@ def test_a_restart_parts_the_fixes(tmp_path: Path, batch: int) -> None:
     assert outcome[0]["association"]["dropped"]["in_estimate_gap"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", ["some", "all"])
 @pytest.mark.parametrize("gauge", ["planar", "yaw"])
 def test_fixes_without_height_are_used_as_offline(
@@ -281,6 +282,7 @@ def test_what_was_paired_outlives_a_kill(tmp_path: Path) -> None:
     assert run["association"]["pairs"] > 80
 
 
+@pytest.mark.slow
 def test_finish_does_not_ask_for_a_gauge(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

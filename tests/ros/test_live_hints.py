@@ -80,6 +80,7 @@ def test_another_body_is_told_with_the_parameter(flight: Simulation) -> None:
     assert "of body 'marker' and the estimate of 'base_link'" in result["frames"].text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_constant", [False, True])
 def test_a_rotation_of_the_alignment_is_no_hint_in_the_first_seconds(
     flight: Simulation, tmp_path: Path, is_constant: bool

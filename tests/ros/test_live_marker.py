@@ -44,6 +44,7 @@ def marker_messages(seed: int, groundtruth_kind: str = POSE) -> list[Message]:
     return sorted(both, key=lambda item: item[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("groundtruth_kind", [POSE, POINT, ODOM])
 @settings(max_examples=3)
 @given(seed=seeds, cuts=st.lists(st.integers(0, COUNT), max_size=10), late=st.integers(0, 20))
@@ -90,6 +91,7 @@ def test_another_marker_pose_can_be_applied_after_the_run(tmp_path: Path) -> Non
             assert_same(run["ate"], known["ate"])
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(seed=seeds)
 def test_covariances_are_judged_as_offline(
@@ -145,6 +147,7 @@ def test_covariances_are_of_the_markers_position(tmp_path: Path) -> None:
     assert "has no orientations" in live.run.estimates[0].snapshot().why_not_consistency
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("groundtruth_kind", [POSE, POINT])
 def test_each_loop_has_the_marker_of_the_first(tmp_path: Path, groundtruth_kind: str) -> None:
     file = str(write_mounting(tmp_path))
@@ -164,6 +167,7 @@ def test_each_loop_has_the_marker_of_the_first(tmp_path: Path, groundtruth_kind:
         assert_same(run, expected)
 
 
+@pytest.mark.slow
 def test_a_restart_keeps_the_marker(tmp_path: Path) -> None:
     """States that wait for the next run are moved already, and not again."""
     file = str(write_mounting(tmp_path))
@@ -191,6 +195,7 @@ def test_a_restart_keeps_the_marker(tmp_path: Path) -> None:
     assert moved == pytest.approx(of_body, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_groundtruth_that_serves_two_runs_is_moved_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -217,6 +222,7 @@ def test_groundtruth_that_serves_two_runs_is_moved_once(
     assert (apart <= reach + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_lever_arm_waits_for_the_scale(tmp_path: Path) -> None:
     file = str(write_mounting(tmp_path))
     body = MarkerBody(file, known_hand_eye(file))

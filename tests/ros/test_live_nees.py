@@ -55,6 +55,7 @@ def played(folder: Path, feed: list[Message], batch: int, **words: Any) -> Live:
     return live
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gauge", "states"), [("yaw", "1"), ("yaw", "all"), ("se3", "all"), ("planar", "all")]
 )

@@ -66,6 +66,7 @@ def test_each_loop_of_a_bag_is_a_run(tmp_path: Path, messages_late: int, batch: 
     assert live.closed == live.folders[:2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("messages_late", [0, 25, -25])
 def test_dropped_messages_are_those_of_the_loop(tmp_path: Path, messages_late: int) -> None:
     """Also if the next loop begins before the previous one is complete."""
@@ -85,6 +86,7 @@ def test_dropped_messages_are_those_of_the_loop(tmp_path: Path, messages_late: i
     assert dropped == [1, 3]
 
 
+@pytest.mark.slow
 def test_what_is_published_goes_on_after_a_loop(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     loops = [messages(24)] * 2
@@ -102,6 +104,7 @@ def restarted(seed: int, row: int) -> tuple[Trajectory, Trajectory, int]:
     return pair.groundtruth, estimate, int(estimate.stamps[row])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [1, 17, 1000])
 def test_a_restart_begins_a_run(tmp_path: Path, batch: int) -> None:
     groundtruth, estimate, stamp = restarted(31, 40)
@@ -192,6 +195,7 @@ class NeverKnown(MarkerBody):
         return is_spent
 
 
+@pytest.mark.slow
 def test_a_run_that_is_complete_takes_no_memory(tmp_path: Path) -> None:
     groundtruth, estimate, _ = restarted(31, 40)
     written = [
@@ -215,6 +219,7 @@ def test_a_run_that_is_complete_takes_no_memory(tmp_path: Path) -> None:
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [1, 17])
 def test_millimetres_are_no_restarts(tmp_path: Path, batch: int) -> None:
     pair = make_pair(31, COUNT, smooth=True)
@@ -231,6 +236,7 @@ def test_millimetres_are_no_restarts(tmp_path: Path, batch: int) -> None:
     assert len(live.folders) == 1
 
 
+@pytest.mark.slow
 def test_nothing_is_split_that_nobody_wants_split(tmp_path: Path) -> None:
     groundtruth, estimate, _ = restarted(31, 40)
     written = [
@@ -247,6 +253,7 @@ def test_nothing_is_split_that_nobody_wants_split(tmp_path: Path) -> None:
     assert run["estimate"]["name"] == "vio"
 
 
+@pytest.mark.slow
 def test_an_end_soon_after_a_step_of_time_leaves_the_results_before(tmp_path: Path) -> None:
     """Only the groundtruth has begun anew: the estimate's last messages might still come."""
     loops = [messages(seed) for seed in (41, 42)]
@@ -310,6 +317,7 @@ def test_a_restart_loses_no_pair_of_another_estimate(tmp_path: Path, batch: int)
         assert parts.tolist() == whole.tolist()
 
 
+@pytest.mark.slow
 def test_one_clock_that_is_set_back_begins_a_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -341,6 +349,7 @@ def test_one_clock_that_is_set_back_begins_a_run(
     assert told["text"].startswith("the estimate's clock stepped by -1.796 s")
 
 
+@pytest.mark.slow
 def test_a_path_that_begins_anew_is_a_run(tmp_path: Path) -> None:
     loops = []
     for seed in (61, 62):

@@ -111,6 +111,7 @@ def assert_drawn(
     assert distances[:, : len(estimate)].min(axis=0).max() < 0.6
 
 
+@pytest.mark.slow
 def test_each_loop_of_a_bag_is_drawn_in_its_folder(tmp_path: Path) -> None:
     loops = loop(4), loop(5, 0.6 * LOOP_S)
     feed = feed_of(*loops[0]) + feed_of(*loops[1])
@@ -125,6 +126,7 @@ def test_each_loop_of_a_bag_is_drawn_in_its_folder(tmp_path: Path) -> None:
     assert len(values) > 3 * len(published)
 
 
+@pytest.mark.slow
 def test_a_restart_of_the_estimator_is_drawn_as_it_is_evaluated(tmp_path: Path) -> None:
     groundtruth, estimate = loop(4)
     row = len(estimate) // 2

@@ -82,6 +82,7 @@ def test_a_run_that_goes_on_is_evaluated_so_far(tmp_path: Path) -> None:
     assert live.result["runs"][0]["association"]["pairs"] >= counts[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", [["info"], []])
 def test_its_folder_is_for_finish(
     verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -309,6 +310,7 @@ def test_finish_holds_a_run_against_bounds(tmp_path: Path) -> None:
     assert {"result.json", "errors.npz"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [ODOM, PATH])
 def test_keyframes_cover_what_they_cover_in_a_bag(tmp_path: Path, kind: str) -> None:
     flown = simulate(seed=4, duration_s=60.0).groundtruth

@@ -112,6 +112,7 @@ def cut(run: Sequence[Arriving], cuts: Sequence[float]) -> list[list[Arriving]]:
 lags = st.floats(0.0, 8.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(
     seed=seeds,
@@ -134,6 +135,7 @@ def test_any_batches_give_the_offline_chain(
     assert (stream.status.first, stream.status.last) == (stamps[0], stamps[-1])
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(
     seed=seeds,

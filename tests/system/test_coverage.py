@@ -204,6 +204,7 @@ def test_a_longer_gap_may_be_allowed() -> None:
 # Live.
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(
     seed=seeds,

@@ -51,6 +51,7 @@ def test_no_metric_sees_the_gauge(gauge: Gauge, states: int | None, pair: Pair, 
         assert all(len(item.errors.ends) for item in before.relative)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", list(Gauge))
 @settings(max_examples=8)
 @given(pair=pairs(), seed=seeds)
@@ -63,6 +64,7 @@ def test_no_metric_sees_the_gauge_in_the_tutorials_forms(
     assert_same_numbers(before, after)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3, Gauge.SIM3])
 @settings(max_examples=8)
 @given(pair=pairs(), seed=seeds)
@@ -77,6 +79,7 @@ def test_weighted_alignment_does_not_see_the_gauge(gauge: Gauge, pair: Pair, see
     assert_same_numbers(before, evaluate(pair.groundtruth, scaled, protocol))
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(pair=pairs(), seed=seeds)
 def test_turning_both_worlds_about_gravity_changes_no_plain_metric(pair: Pair, seed: int) -> None:
@@ -87,6 +90,7 @@ def test_turning_both_worlds_about_gravity_changes_no_plain_metric(pair: Pair, s
     assert_same_numbers(before, after)
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(pair=pairs(), seed=seeds)
 def test_turning_both_worlds_freely_changes_neither_positions_nor_angles(
@@ -114,6 +118,7 @@ def test_plain_errors_do_not_see_the_worlds_origin(gauge: Gauge, pair: Pair) -> 
     assert_same_numbers(before, after, relative=1e-9, absolute=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(pair=pairs())
 def test_the_tutorials_form_grows_with_the_distance_from_the_worlds_origin(pair: Pair) -> None:
@@ -163,6 +168,7 @@ def test_a_larger_gauge_never_leaves_a_larger_position_error(pair: Pair) -> None
     assert all(after <= before * (1.0 + 1e-12) for before, after in pairwise(errors))
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(pair=pairs(), seed=seeds)
 def test_the_order_of_rows_does_not_matter(pair: Pair, seed: int) -> None:

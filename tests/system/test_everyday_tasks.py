@@ -137,6 +137,7 @@ def test_the_table_has_all_tasks() -> None:
     assert list(TASKS) == list(range(1, 23))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
     [

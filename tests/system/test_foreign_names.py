@@ -67,6 +67,7 @@ def test_figures_show_names_and_no_formulas(evaluation: Evaluation) -> None:
     assert not controls("".join(text.get_text() for text in texts).replace("\n", ""))
 
 
+@pytest.mark.slow
 def test_figures_of_a_comparison_show_names() -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     from trajeval_ros.batch.planned_figures import PlannedFigure, draw

@@ -284,6 +284,7 @@ def test_relative_errors_need_no_orientation_where_gravity_is_known() -> None:
     assert evaluate(antenna(40), FLIGHT.estimate, Protocol(gauge="se3")).relative is None
 
 
+@pytest.mark.slow
 @given(turn=st.floats(-3.0, 3.0), shift=st.floats(-1e4, 1e4))
 def test_the_ate_is_the_same_in_any_level_frame(turn: float, shift: float) -> None:
     fixes = antenna()

@@ -69,6 +69,7 @@ def test_ctrl_c_while_an_object_is_collected_is_not_lost() -> None:
     assert (done.returncode, done.stderr) == (7, "")
 
 
+@pytest.mark.slow
 def test_what_runs_in_the_background_may_ignore_ctrl_c() -> None:
     ignore = "signal.signal(signal.SIGINT, signal.SIG_IGN)"
     assert interrupted_at("click", "main", ignore) == (0, "")

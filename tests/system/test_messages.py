@@ -253,6 +253,7 @@ def test_errors_start_small() -> None:
     assert not result, listed(result)
 
 
+@pytest.mark.slow
 def test_examples_of_the_style_guide_are_messages_of_the_program() -> None:
     guide = (PACKAGE.parent / "docs/style.md").read_text(encoding="utf-8")
     section = guide.partition("## Messages")[2].partition("\n## ")[0]

@@ -183,6 +183,7 @@ def test_comparison_tabulates_what_was_asked_for(
 TEXTS = ("lengths", "groundtruth_noise", "alert_limit", "gauge", "hand_eye")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hand_eye", ["FILE", "auto"])
 def test_a_live_run_with_a_marker_is_evaluated_as_a_recorded_one(
     tmp_path: Path, hand_eye: str

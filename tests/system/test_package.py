@@ -161,6 +161,7 @@ def modules_used_by(path: Path, known: dict[str, Path]) -> set[str]:
     return {name for name in names & known.keys() if known[name] != path}
 
 
+@pytest.mark.slow
 def test_no_modules_import_one_another() -> None:
     known = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts): path
@@ -212,6 +213,7 @@ def test_no_two_public_classes_have_one_name() -> None:
     assert not {name: paths for name, paths in places.items() if len(paths) > 1}
 
 
+@pytest.mark.slow
 def test_outside_packages_are_imported_in_their_subpackages_only() -> None:
     for path in sources():
         subpackage = subpackage_of(path)

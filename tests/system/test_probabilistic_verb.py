@@ -122,6 +122,7 @@ def test_the_headline_is_the_ate_that_the_groundtruth_supports(
     )
 
 
+@pytest.mark.slow
 def test_noise_is_the_users(files: Path) -> None:
     sure, unsure = (
         evaluated(files, *CONTINUOUS, "--groundtruth-noise", noise)[0]["probabilistic"]
@@ -194,6 +195,7 @@ def test_what_means_nothing_is_refused(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bad_groundtruth_is_said(
     files: Path, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

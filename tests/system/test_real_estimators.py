@@ -142,6 +142,7 @@ def said_of(folder: str, capsys: pytest.CaptureFixture[str], *options: str) -> s
     return captured.out + captured.err
 
 
+@pytest.mark.slow
 def test_overload_is_lost_tracking(capsys: pytest.CaptureFixture[str]) -> None:
     text = said_of("overload", capsys)
     for word in ("keyframe", "square degrees", "restart"):
@@ -203,6 +204,7 @@ def test_a_good_run_has_no_finding(capsys: pytest.CaptureFixture[str]) -> None:
     assert "warning:" not in text
 
 
+@pytest.mark.slow
 def test_clocks_of_parts_within_the_stated_interval(capsys: pytest.CaptureFixture[str]) -> None:
     text = said_of("lockstep", capsys, "--time-offset", "auto")
     assert "different clock offsets" not in text

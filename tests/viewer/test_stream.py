@@ -301,6 +301,7 @@ def test_viewer_that_freezes_is_not_waited_for(mode: str, port: int, tmp_path: P
     assert_whole(tmp_path / "run.rrd", report)
 
 
+@pytest.mark.slow
 def test_a_viewer_that_does_not_listen_is_reported(port: int, tmp_path: Path) -> None:
     scene = LiveScene("flight", ["vio"], Gauge.YAW)
     thread = DrawingThread(ViewerTarget(url(port), "run"), scene)

@@ -84,6 +84,7 @@ def test_transforms_that_come_late_are_judged_where_the_robot_was() -> None:
     np.testing.assert_allclose(values, expected[name].values, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_alarms_of_several_pairs_tell_which_estimate_is_wrong() -> None:
     run = flight()
     vio = run.partners["pair"]

@@ -178,6 +178,7 @@ def of_elements(fields: str) -> str:
     return f"p/A[] f0\n{'=' * 80}\nMSG: p/A\n{fields}"
 
 
+@pytest.mark.slow
 @example(text=of_elements("int32 f0\nstring f1"), seed=0, ros1=False)
 @example(text=of_elements("float64 f0\nfloat32[] f1"), seed=0, ros1=True)
 @given(text=definitions(), seed=st.integers(0, 2**32), ros1=st.booleans())

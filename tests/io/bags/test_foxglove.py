@@ -195,6 +195,7 @@ def test_json_of_the_wrong_kind_is_no_message(payload: bytes) -> None:
     assert columns.texts["header.frame_id"].names == ("?",)
 
 
+@pytest.mark.slow
 @given(payloads=st.lists(st.binary(max_size=60) | st.text().map(str.encode), max_size=4))
 @pytest.mark.parametrize("kind", foxglove.TYPES)
 def test_random_bytes_raise_nothing(kind: str, payloads: list[bytes]) -> None:

@@ -52,6 +52,7 @@ def ulog(path: Path) -> str:
     return "vehicle_local_position"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "write"),
     [

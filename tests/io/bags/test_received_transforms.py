@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -106,6 +107,7 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
         np.testing.assert_allclose(rotated, product[:3, :3], atol=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(seed=seeds, parts=st.integers(1, 200), seconds=st.sampled_from([40, 4000]))
 def test_poses_do_not_depend_on_the_batches_of_transforms(

@@ -250,6 +250,7 @@ assert "    patience: 0.5\\n" in settings_tables.parameter_file()
 """
 
 
+@pytest.mark.slow
 def test_a_new_setting_is_one_row() -> None:
     done = subprocess.run(
         [sys.executable, "-c", NEW_ROW], cwd=ROOT, capture_output=True, text=True, check=False

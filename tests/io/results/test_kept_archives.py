@@ -18,6 +18,7 @@ parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is missing")
 FLIGHT = "evaluate -g run:/groundtruth/pose -e run:/vio/odometry"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "typed"),
     [

@@ -171,6 +171,7 @@ def test_json_lines(tmp_path: Path) -> None:
         read_trajectory(path)
 
 
+@pytest.mark.slow
 def test_an_archive_of_endless_zeros_is_refused(tmp_path: Path) -> None:
     path, begin = tmp_path / "run.npz", io.BytesIO()
     form = {"descr": "<f8", "fortran_order": False, "shape": (9 * 2**20, 8)}
