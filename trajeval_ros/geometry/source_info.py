@@ -19,6 +19,8 @@ from trajeval_ros.geometry.valid_poses import add_counts
 if TYPE_CHECKING:
     from trajeval_ros.geometry.fixes import Fixes
 
+# Code of the warning about what a file does not say of its columns, and what is assumed.
+ASSUMED_COLUMNS = "assumed_columns"
 # Codes of the remark that names the format of a source, also if the user named its columns.
 FORMAT, NAMED_COLUMNS = FORMATS = "format", "named_columns"
 # Code of the warning that frame numbers start at 1, and that 0 or 1 may be the first frame.

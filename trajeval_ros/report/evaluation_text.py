@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.formatting.text_tables import BOLD
-from trajeval_ros.geometry.source_info import ASSUMED, FORMAT
+from trajeval_ros.geometry.source_info import ASSUMED, ASSUMED_COLUMNS, FORMAT
 from trajeval_ros.metrics.discontinuities.handling import SPLIT
 from trajeval_ros.pipeline.evaluation_remarks import SCALE_DRIFT
 from trajeval_ros.report import consistency_lines, tables
@@ -44,6 +44,10 @@ def print_verdicts(terminal: Console, outcome: Outcome) -> None:
                 terminal.print(line, soft_wrap=True)
         if run.noise_corrected_ate is not None:
             terminal.print(noise_corrected_line(run.noise_corrected_ate), soft_wrap=True)
+    for side in (outcome.groundtruth, *(run.estimate for run in outcome.runs)):
+        for remark in side.remarks:
+            if remark.code == ASSUMED_COLUMNS:
+                terminal.print(f"  {side.name}: {remark.text}", WARNING, soft_wrap=True)
     protocol = outcome.runs[0].evaluation.protocol
     if outcome.request.gauge_is_default and outcome.groundtruth.fixes is not None:
         terminal.print(
@@ -144,7 +148,11 @@ def print_remarks(remarks: Console, runs: Sequence[RunOutcome]) -> None:
                 remarks.remark("assumed", note.text)
     for run in runs:
         # Below the headline.
-        printed = {SCALE_DRIFT, *(finding.cause for finding in run.diagnosis.findings)}
+        printed = {
+            SCALE_DRIFT,
+            ASSUMED_COLUMNS,
+            *(finding.cause for finding in run.diagnosis.findings),
+        }
         for remark in run.evaluation.remarks:
             if remark.code not in printed:
                 kind = "note" if remark.level is Level.NOTE else WARNING

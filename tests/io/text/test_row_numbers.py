@@ -70,7 +70,7 @@ def test_a_file_of_times_has_one_per_row(tmp_path: Path, count: int) -> None:
     [
         ((0, 1, 2), True),
         ((3, 5, 7), True),
-        ((0, 1, 3), False),
+        ((0, 1, 2, 4), False),
         ((2, 1, 0), False),
         ((0.5, 1.5, 2.5), False),
         ((1, 1, 1), False),

@@ -28,7 +28,7 @@ from trajeval_ros.io.text.names import (
     WEEK_S,
     Layout,
 )
-from trajeval_ros.io.text.stamps import are_parts, goes_back, goes_forward, is_clock, likely_name
+from trajeval_ros.io.text.stamps import are_whole, goes_back, goes_forward, is_clock, likely_name
 from trajeval_ros.io.text.table import TextTable
 
 # Patterns are compiled on use, since most files have no header.
@@ -370,7 +370,7 @@ def _name_time(header: _Header, name: Callable[[int, str], None]) -> None:
         for at, column in enumerate(sample.T)
         if units[at] in _PART_OF_UNIT
         and stems[at] in seconds
-        and 2 * np.sum(are_parts(column, _PART_OF_UNIT[units[at]])) >= len(column)
+        and 2 * np.sum(are_whole(column, PARTS[_PART_OF_UNIT[units[at]]][1])) >= len(column)
     }
     times = sorted(
         {*times, *joined} - {*joined.values()},

@@ -28,6 +28,7 @@ from trajeval_ros.io.text.names import (
     Layout,
 )
 from trajeval_ros.io.text.stamps import (
+    are_whole,
     goes_back,
     is_clock,
     is_date,
@@ -72,7 +73,7 @@ _EUROC_POSES = known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL ground truth
 # fmt: off
 KNOWN = (
     known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation",
-          "no header: 4 columns read as t x y z"),
+          doubt="no header: 4 columns read as t x y z; others, as {option} 't x y yaw'"),
     known("TUM", _POSE, "spaces unit", "cvg.cit.tum.de RGB-D file formats"),
     _TUM_COMMAS,
     _EUROC_POSES,
@@ -142,28 +143,23 @@ def _matrices(table: TextTable, layout: Layout, _: Floats) -> Any:
     return (errors < ORTHONORMAL) & (np.linalg.det(axes) > 0.0)
 
 
-def _are_whole(column: Floats, end: float) -> Any:
-    """Return which values are whole numbers from zero below `end`."""
-    return (column == np.round(column)) & (column >= 0.0) & (column < end)
-
-
 # By the name in `Layout.checks`: which rows of a table pass. The last argument is its times (N,).
 CHECKS: dict[str, Callable[[TextTable, Layout, Floats], Any]] = {
     "spaces": lambda table, layout, times: table.separator in ("", "\t"),
     "commas": lambda table, layout, times: table.separator not in ("", "\t") and not table.at_end,
     "vins": lambda table, layout, times: table.at_end,
     "time": lambda table, layout, times: not goes_back(times) or not goes_back(-times),
-    "frames": lambda table, layout, times: _are_whole(times, 1e8).all(),
-    "times": lambda table, layout, times: not _are_whole(times, 1e8).all(),
-    "id": lambda table, layout, times: _are_whole(table.values[:, 0], 1e8),
-    "id_last": lambda table, layout, times: (_are_whole(table.values[:, -1], np.inf)
+    "frames": lambda table, layout, times: are_whole(times, 1e8).all(),
+    "times": lambda table, layout, times: not are_whole(times, 1e8).all(),
+    "id": lambda table, layout, times: are_whole(table.values[:, 0], 1e8),
+    "id_last": lambda table, layout, times: (are_whole(table.values[:, -1], np.inf)
         & (np.diff(table.values[:, -1], prepend=-1.0) > 0.0)).all(),
     "us": lambda table, layout, times: (times > 1e14) & (times < 4e15),
     "angles": lambda table, layout, times: ~(np.abs(table.values[:, 4:7]) > 6.3).any(axis=1),
     "unit": _lengths,
     "matrix": _matrices,
     "bottom": lambda table, layout, times: (table.values[:, -4:] == [0, 0, 0, 1]).all(axis=1),
-    "ros2": lambda table, layout, times: _are_whole(table.values[:, 1], 1e9)
+    "ros2": lambda table, layout, times: are_whole(table.values[:, 1], 1e9)
         & (times == np.round(times)),
 }  # fmt: skip
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import note, warning
-from trajeval_ros.geometry.source_info import FORMAT, NAMED_COLUMNS, SourceInfo
+from trajeval_ros.geometry.source_info import ASSUMED_COLUMNS, FORMAT, NAMED_COLUMNS, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_rotations, check_stamps
 from trajeval_ros.io.text.geographic import ANY_GGA, fixes_of, read_nmea
@@ -33,7 +33,12 @@ from trajeval_ros.io.text.names import (
 )
 from trajeval_ros.io.text.numpy_files import load, rows_of
 from trajeval_ros.io.text.pose_records import rewritten
-from trajeval_ros.io.text.recognise import check_comments, layout_of_table, with_dates
+from trajeval_ros.io.text.recognise import (
+    check_comments,
+    check_heights,
+    layout_of_table,
+    with_dates,
+)
 from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import is_clock
 from trajeval_ros.io.text.states import states_of
@@ -123,6 +128,7 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     rows = read_rows(table, layout, advance)
     if not hints.columns:
         check_comments(table, layout)
+        check_heights(layout, rows)
     return trajectory_of(path, layout, rows, hints, origin, table.left_out)
 
 
@@ -191,7 +197,7 @@ def trajectory_of(
         remarks=(
             note(code, f"format: {layout.name}"),
             *([note("layout", layout.note)] if layout.note else ()),
-            *([warning("quaternion_order", layout.doubt)] if layout.doubt else ()),
+            *([warning(ASSUMED_COLUMNS, hints.in_message(layout.doubt))] if layout.doubt else ()),
             *(
                 dataclasses.replace(remark, text=hints.in_message(remark.text))
                 for remark in times.remarks

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
+
+import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
@@ -12,11 +15,17 @@ from trajeval_ros.io.text.header_words import UNIT_OF_WORD, split_header
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, options_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, WEEK, Layout
 from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment
-from trajeval_ros.io.text.table import MIXED, SEPARATORS, TextTable, body_of
+from trajeval_ros.io.text.table import MIXED, SEPARATORS, Rows, TextTable, body_of
+from trajeval_ros.metrics.statistics import median
 
 _LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
 _STATEMENT = r"(?i)\b(wxyz|[mc]m|(milli|centi)met\w+|deg|degrees?|feet|inch(es)?)\b"
+_NUMBER_OF_COLUMN = r"(?i)\A[#%\s]*(?:(?:column|col|field)?\s*\d+\s*[:.)=-]*\s+)?"
+_WORD = r"[^\W\d]\S*(?: ?[\[(]\S+[\])])?"  # a name, maybe with a unit
 _FEWEST = 4  # names of a pose that make a header of a line of other words
+# A path is curved, and angles are its directions, by the lengths of sums of steps, before and
+# after they are rotated by the angles, per length of the path.
+_CURVED, _PARALLEL = 0.7, 0.9
 # Columns of Qualisys, whose header has no units.
 _QUALISYS = {
     "time": "t", "x": "x_mm", "y": "y_mm", "z": "z_mm",
@@ -50,6 +59,7 @@ def _certain(table: TextTable) -> Layout:
             f"it is of Qualisys, with the columns {lines[0].split()}, usually in mm and degrees; "
             f"name them: {{option}} '{' '.join(names[: table.columns])}'"
         )
+    lines = [*filter(None, [_listed(table)]), *lines]
     uncommented = [line for line in lines if body_of(line).strip()]
     for at, line in enumerate(lines):
         if at == 0 or line.lstrip().startswith(("#", "%", "FIELDS ")) or not uncommented:
@@ -74,6 +84,17 @@ def _certain(table: TextTable) -> Layout:
     if layout.name == "smfeval":
         return _smfeval(layout, table.header)
     return _with_comments(layout, lines)
+
+
+def _listed(table: TextTable) -> str:
+    """Return names of columns that stand on lines of their own as one line, "" without."""
+    names = [re.sub(_NUMBER_OF_COLUMN, "", line).strip() for line in table.header]
+    names = [re.split(r"\s[-–=]\s|[:,;]", name)[0].strip() for name in names]
+    for is_word, group in itertools.groupby(names, lambda name: bool(re.fullmatch(_WORD, name))):
+        block = list(itertools.dropwhile(lambda name: not count_of_pose([name]), group))
+        if is_word and (1 < len(block) == table.columns or count_of_pose(block) >= _FEWEST):
+            return "\t".join(block)
+    return ""
 
 
 def _with_comments(layout: Layout, lines: list[str]) -> Layout:
@@ -157,6 +178,30 @@ def check_comments(table: TextTable, layout: Layout) -> None:
                 f"line {line}: a comment names other columns than those above: {comment[:80]!r}; "
                 f"read both parts apart: head -n {line - 1} {table.path.name} > first.txt; "
                 f"tail -n +{line} {table.path.name} > second.txt"
+            )
+
+
+def check_heights(layout: Layout, rows: Rows) -> None:
+    """Refuse heights without a header that are angles.
+
+    They are if they wrap, or if their differences from the direction of travel are nearly equal.
+    """
+    if not (layout.doubt and "position" in layout.groups and layout.columns[-1] == "z"):
+        return
+    places = rows.groups["position"]
+    places = places[np.isfinite(places).all(axis=1)]
+    angles, extent = places[:, 2], np.abs(places[:, 2]).max(initial=0.0)
+    steps = np.diff(places[:, 0] + 1j * places[:, 1])
+    lengths = np.abs(steps)
+    total = max(lengths.sum(), np.finfo(np.float64).tiny)
+    for name, turn in (("yaw", 2.0 * np.pi), ("yaw_deg", 360.0)):
+        turns = np.abs(np.diff(angles)) / turn
+        is_wrapped = extent <= turn and (turns > 0.9).any() and median(turns) < 0.1
+        along = np.abs((steps * np.exp(-2j * np.pi * angles[:-1] / turn)).sum()) / total
+        if is_wrapped or (along > _PARALLEL and np.abs(steps.sum()) < _CURVED * total):
+            raise InputError(
+                "its fourth column may be the direction of travel; name the columns: {option} "
+                f"'t x y {name}', or {{option}} 't x y z' if it is a height"
             )
 
 

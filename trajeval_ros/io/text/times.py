@@ -16,7 +16,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note, warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import FRAMES_FROM_1
+from trajeval_ros.geometry.source_info import ASSUMED_COLUMNS, FRAMES_FROM_1
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.text.header_words import name_and_unit, split_header
 from trajeval_ros.io.text.names import (
@@ -36,9 +36,10 @@ from trajeval_ros.io.text.names import (
 from trajeval_ros.io.text.numpy_files import files_of_times, load
 from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import (
+    SHORTEST_STEP_S,
     WIDTH,
     are_clock_digits,
-    are_parts,
+    are_whole,
     dates,
     exact,
     likely_name,
@@ -50,6 +51,8 @@ from trajeval_ros.io.text.table import Rows, number, read_rows
 from trajeval_ros.metrics.statistics import median
 
 ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
+_SAMPLE = 200  # rows from which the unit of the times is told
+_LONGEST_STEP_S = 10.0  # usual median step of seconds from zero
 _FRAMES = 10**8  # limit of frame numbers, and of times that count from zero
 _TIMES = Layout("times", ("t",))  # of a file next to the poses
 # Names of columns of times and their units, as messages name them.
@@ -83,22 +86,26 @@ def times_of(
     times: Any = rows.texts[layout.time_name]
     if layout.time_name in (FRAME, FRAME_1):
         return _of_frames(layout, *_frames(path, layout, times), rate, origin)
+    if _may_count_frames(layout, origin):
+        values = _floats(path, times)
+        finite = np.isfinite(values)
+        if _are_frames(values[finite]):
+            frames = values[finite].astype(np.int64)
+            numbered = _of_frames(layout, frames, (), rate, origin)
+            return dataclasses.replace(numbered, kept=finite, numbered=True)
     kept = None
     try:
-        sample = times[:200].astype(np.float64)
+        sample = times[:_SAMPLE].astype(np.float64)
         if not np.isfinite(sample).all():
             raise ValueError
-        unit = _unit(layout, sample)
+        unit = _unit(path, layout, sample)
         stamps = to_stamps(times, sample, unit)
     except (ValueError, OverflowError):  # a time is missing or out of range
         values = _floats(path, times)
         kept = np.isfinite(values)
         times = np.char.strip(times[kept]) if times.dtype.kind == "S" else times[kept]
-        unit = _unit(layout, values[kept])
+        unit = _unit(path, layout, values[kept])
         stamps = to_stamps(times, values[kept], unit)
-    if _counts_frames(layout, stamps, origin):
-        numbered = _of_frames(layout, stamps // NANOSECONDS, (), rate, origin)
-        return dataclasses.replace(numbered, kept=kept, numbered=True)
     if layout.time_name == UNPADDED:
         stamps = unpadded(times)
     elif layout.name != AS_NAMED and _is_unpadded(stamps, times):
@@ -116,9 +123,15 @@ def times_of(
                 f"digits before the point are below 60; if so, use {{option}} "
                 f"'{layout.named(DATE)}', or {{option}} '{layout.named(name)}' if not"
             )
-    is_noted = unit == 1 or (is_inferred and unit != NANOSECONDS)
-    word = next(word for name, word in _WORDS.items() if UNITS[name] == unit)
-    remarks = (note("nanoseconds", f"timestamps are in {word}"),) if is_noted else ()
+    remarks: tuple[Remark, ...] = ()
+    if unit == 1 or (is_inferred and unit != NANOSECONDS):
+        remarks = (note("nanoseconds", f"timestamps are in {_WORDS[name]}"),)
+    elif is_inferred and (step := _step_of_doubt(stamps)):
+        assumed = (
+            f"its timestamps, in steps of {step:.2g}, are assumed to be seconds; if they are not, "
+            f"use {{option}} '{layout.named('t_ms')}' (or frame, t_us, t_ns), or convert days"
+        )
+        remarks = (warning(ASSUMED_COLUMNS, assumed),)
     return Times(stamps, None, True, kept, remarks, name=name)
 
 
@@ -154,7 +167,7 @@ def _floats(path: Path, times: Any) -> Floats:
     return values
 
 
-def _unit(layout: Layout, values: Floats) -> int:
+def _unit(path: Path, layout: Layout, values: Floats) -> int:
     """Return the nanoseconds per unit of time that the name has or the values show."""
     unit = UNITS.get(layout.time_name, NANOSECONDS) or unit_of(values)
     if unit is not None:
@@ -166,6 +179,11 @@ def _unit(layout: Layout, values: Floats) -> int:
             f"its timestamps have steps of {step:.1g}, too short for seconds, as those of days "
             "(MATLAB, Excel) have; convert them to seconds, or use "
             f"{{option}} '{layout.named('t_s')}' if they are"
+        )
+    if layout.name == _TIMES.name:
+        raise InputError(
+            f"its numbers have steps of {step:g}, seconds or milliseconds; write their unit "
+            f"above them: sed -i '1i t_ms' {path} (or t_s)"
         )
     key = f", but keys of GTSAM ({letters[0]}0, {letters[0]}1 ...)" if len(letters) == 1 else ""
     name = FRAME if key else likely_name(values)
@@ -196,7 +214,7 @@ def _letters(keys: Floats) -> list[str]:
 def _frames(path: Path, layout: Layout, times: Any) -> tuple[Stamps, tuple[Remark, ...]]:
     """Return frame numbers (N,), which keys of GTSAM have after a letter, and remarks."""
     values = _floats(path, times)
-    whole = (values == np.round(values)) & (values >= 0.0) & (values < 2.0**63)
+    whole = are_whole(values, 2.0**63)
     frames = np.full(len(values), -1)
     frames[whole] = exact(times[whole], 0) if times.dtype.kind == "S" else values[whole]
     letters = _letters(values)
@@ -233,22 +251,22 @@ def _of_frames(
     can_have_times = "matrix" in layout.groups or layout.name in _NUMBERED
     for beside in files_of_times(origin) if origin is not None and can_have_times else ():
         of_times, column = _rows_of_times(beside)
-        times = times_of(beside, of_times, column, None, None).stamps
         numbers = frames
-        if has_numbers and first >= 1 and frames.max(initial=0) == len(times):
+        if has_numbers and first >= 1 and frames.max(initial=0) == column.count:
             numbers = frames - 1
             remarks.append(note("frames_counted_from_1", "frame numbers start at 1"))
         elif has_numbers and first == 1 and layout.name != AS_NAMED:
             raise InputError(
-                f"its frame numbers start at 1, and {beside} has {counted(len(times), 'time')}: "
+                f"its frame numbers start at 1, and {beside} has {counted(column.count, 'time')}: "
                 f"{if_first}"
             )
-        if numbers.max(initial=0) < len(times) if has_numbers else len(times) == len(frames):
-            if of_times is _TIMES:
-                _check_unit(beside, times)
+        if numbers.max(initial=0) < column.count if has_numbers else column.count == len(frames):
+            times = times_of(beside, of_times, column, None, None)
+            if times.kept is not None and not times.kept.all():
+                raise InputError(f"{beside} has a row without a time; correct it")
             source = note("times_file", f"timestamps read from {beside}")
-            return Times(times[numbers], frames, True, None, (*remarks, source))
-        counts = f"{counted(len(times), 'row')} for {counted(len(frames), 'pose')}"
+            return Times(times.stamps[numbers], frames, True, None, (*remarks, source))
+        counts = f"{counted(column.count, 'row')} for {counted(len(frames), 'pose')}"
         remarks.append(note("times_file_ignored", f"{beside} ignored: it has {counts}"))
     if layout.time_name == FRAME and layout.name != AS_NAMED and first == 1:
         remarks.append(warning(FRAMES_FROM_1, f"its frame numbers start at 1: {if_first}"))
@@ -261,29 +279,33 @@ def _of_frames(
     return Times(frames * NANOSECONDS, frames, False, None, tuple(remarks))
 
 
-def _counts_frames(layout: Layout, stamps: Stamps, origin: Path | None) -> bool:
-    """Return whether a first column of whole numbers in equal steps counts frames.
+def _may_count_frames(layout: Layout, origin: Path | None) -> bool:
+    """Return whether the times of frames are in a file next to the file.
 
-    It does so if a file with the times of the frames is next to the file, as for VGGT-SLAM, which
-    repeats frames where its submaps meet.
+    A first column of whole numbers in equal steps counts them, as for VGGT-SLAM, which repeats
+    frames where its submaps meet.
     """
-    if layout.time_name != "t" or layout.name not in _NUMBERED or origin is None:
-        return False
-    if (stamps % NANOSECONDS).any() or stamps.max(initial=0) >= _FRAMES * NANOSECONDS:
-        return False
-    steps = np.diff(stamps)
+    is_first = layout.time_name == "t" and layout.name in _NUMBERED
+    return is_first and origin is not None and bool(files_of_times(origin))
+
+
+def _are_frames(values: Floats) -> bool:
+    """Return whether N finite values are whole numbers in equal steps, which may be repeated."""
+    steps = np.diff(values)
     steps = steps[steps != 0]
-    return bool(len(steps) and 0 < steps.min() == steps.max() and files_of_times(origin))
+    is_equal = len(steps) > 0 and 0 < steps.min() == steps.max()
+    return bool(is_equal and are_whole(values, _FRAMES).all())
 
 
-def _check_unit(path: Path, stamps: Stamps) -> None:
-    """Refuse times without a unit that can be seconds or milliseconds: whole ones, far apart."""
-    step_s = median(np.abs(np.diff(stamps))) / NANOSECONDS if len(stamps) > 1 else 0.0
-    if step_s > 1.0 and stamps.max() < _FRAMES * NANOSECONDS and not (stamps % NANOSECONDS).any():
-        raise InputError(
-            f"{path} has whole numbers in steps of {step_s:g}, seconds or milliseconds; write "
-            f"their unit above them: sed -i '1i t_ms' {path} (or t_s)"
-        )
+def _step_of_doubt(stamps: Stamps) -> float:
+    """Return the step of times from zero, seconds, if another unit is as likely, else 0."""
+    first = stamps[:_SAMPLE]
+    if len(first) < 2 or first.max() >= _FRAMES * NANOSECONDS:
+        return 0.0
+    step = median(np.abs(np.diff(first))) / NANOSECONDS
+    counts = step == 1.0 and not (first % NANOSECONDS).any()
+    is_usual = step == 0.0 or SHORTEST_STEP_S <= step <= _LONGEST_STEP_S
+    return step if counts or not is_usual else 0.0
 
 
 def _rows_of_times(path: Path) -> tuple[Layout, Rows]:
@@ -328,7 +350,7 @@ def part_of_times(path: Path, column: Floats, name: str) -> Stamps:
 
     `name`: one of `PARTS`. The week is 0 if all rows have the same.
     """
-    right = are_parts(column, name)
+    right = are_whole(column, PARTS[name][1])
     if not right.all():
         row = int(np.argmin(right))
         raise InputError(
