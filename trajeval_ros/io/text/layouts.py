@@ -7,7 +7,6 @@ from.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -56,7 +55,8 @@ _LOWER = " ".join(GROUPS["covariance_lower"])
 _MARGINALS = " ".join([*GROUPS["rotation_covariance"], *GROUPS["position_covariance"]])
 _ROS2 = "https://docs.ros.org: ros2 topic echo --csv"
 _VINS = "vins_estimator/utility/visualization.cpp"
-_ORDER = "no header with the order of the quaternion: assumed qw qx qy qz, as in VINS-Mono"
+_NO_ORDER = "no header with the order of the quaternion: assumed"
+_ORDER = f"{_NO_ORDER} qw qx qy qz, as in VINS-Mono"
 
 
 def known(
@@ -68,15 +68,15 @@ def known(
 
 
 OPENVINS_STATE = ("t", "qx", "qy", "qz", "qw", "x", "y", "z", *_V.split(), *_BIASES.split())
-_TUM_COMMAS = known("TUM", _POSE, "commas time unit", "4Seasons, evo_traj edits")
-_EUROC_POSES = known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL ground truth, ADVIO")
 # fmt: off
 KNOWN = (
     known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation",
           doubt="no header: 4 columns read as t x y z; others, as {option} 't x y yaw'"),
     known("TUM", _POSE, "spaces unit", "cvg.cit.tum.de RGB-D file formats"),
-    _TUM_COMMAS,
-    _EUROC_POSES,
+    known("TUM", _POSE, "commas time unit not_ns", "4Seasons, evo_traj edits",
+          doubt=f"{_NO_ORDER} qx qy qz qw, as in TUM"),
+    known("EuRoC/ASL", _POSE_W, "commas time unit ns", "ASL ground truth, ADVIO",
+          doubt=f"{_NO_ORDER} qw qx qy qz, as in EuRoC"),
     known("VINS-Mono", f"{_POSE_W} _", "vins", _VINS, _ORDER),
     known("VINS-Mono", f"{_POSE_W} {_V} _", "vins", _VINS, _ORDER),
     known("TUM with velocity", f"{_POSE} {_V}", "time unit", "rpg, ESVO"),
@@ -143,12 +143,19 @@ def _matrices(table: TextTable, layout: Layout, _: Floats) -> Any:
     return (errors < ORTHONORMAL) & (np.linalg.det(axes) > 0.0)
 
 
+def _are_nanoseconds(times: Floats) -> bool:
+    return unit_of(times[np.isfinite(times)]) == 1
+
+
 # By the name in `Layout.checks`: which rows of a table pass. The last argument is its times (N,).
 CHECKS: dict[str, Callable[[TextTable, Layout, Floats], Any]] = {
     "spaces": lambda table, layout, times: table.separator in ("", "\t"),
     "commas": lambda table, layout, times: table.separator not in ("", "\t") and not table.at_end,
     "vins": lambda table, layout, times: table.at_end,
     "time": lambda table, layout, times: not goes_back(times) or not goes_back(-times),
+    # Position and time are the same in both orders of the quaternion: the unit of time decides.
+    "ns": lambda table, layout, times: _are_nanoseconds(times),
+    "not_ns": lambda table, layout, times: not _are_nanoseconds(times),
     "frames": lambda table, layout, times: are_whole(times, 1e8).all(),
     "times": lambda table, layout, times: not are_whole(times, 1e8).all(),
     "id": lambda table, layout, times: are_whole(table.values[:, 0], 1e8),
@@ -180,11 +187,11 @@ def fits(table: TextTable, layout: Layout) -> bool:
     return all(not len(rows) or rows.mean() >= _MOST for rows in passed)
 
 
-def quaternion_in(table: TextTable, places: Sequence[int]) -> Sequence[int]:
-    """Return the first four successive columns of `places` with unit length, () without."""
+def quaternion_in(values: Floats, places: Sequence[int]) -> Sequence[int]:
+    """Return the first four successive `places` (N, columns) with unit length, () without."""
     with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
         for at in range(len(places) - 3):
-            lengths = np.linalg.norm(table.values[:, places[at : at + 4]], axis=1)
+            lengths = np.linalg.norm(values[:, places[at : at + 4]], axis=1)
             if (np.abs(lengths - 1.0) < 1e-2).all():
                 return places[at : at + 4]
     return ()
@@ -228,7 +235,7 @@ def examples(table: TextTable, named: Sequence[str] = ()) -> list[list[str]]:
             if fits(table, Layout("", tuple(example), checks=("matrix",))):
                 return [example]
     has_rotation = not set(ROTATIONS).isdisjoint(header.groups)
-    four = () if has_rotation else quaternion_in(table, free)
+    four = () if has_rotation else quaternion_in(table.values, free)
     free = [at for at in free if at not in four]
     if len(free) < 2:
         return [["t", "x", "y", "z"]]
@@ -252,8 +259,6 @@ def by_rows(table: TextTable) -> Layout:
         InputError: No known layout fits, or several do.
     """
     fitting = [layout for layout in KNOWN if fits(table, layout)]
-    if [layout.columns for layout in fitting] == [_TUM_COMMAS.columns, _EUROC_POSES.columns]:
-        return _by_unit_of_time(table)
     if len(fitting) == 1:
         return fitting[0]
     where = f"its first row, line {table.first + 1}, is {table.first_line!r}"
@@ -275,12 +280,3 @@ def by_rows(table: TextTable) -> Layout:
         f"unknown layout with {counted(table.columns, 'column')}, and {where}; name the columns, "
         f"as in {options_for(table)}, with {IGNORED} for columns to ignore"
     )
-
-
-def _by_unit_of_time(table: TextTable) -> Layout:
-    """Return the layout of eight columns with commas: position and time are the same in both."""
-    is_euroc = unit_of(table.values[np.isfinite(table.values[:, 0]), 0]) == 1  # nanoseconds
-    order, system = ("qw qx qy qz", "EuRoC") if is_euroc else ("qx qy qz qw", "TUM")
-    layout = _EUROC_POSES if is_euroc else _TUM_COMMAS
-    doubt = f"no header with the order of the quaternion: assumed {order}, as in {system}"
-    return dataclasses.replace(layout, doubt=doubt)

@@ -30,6 +30,8 @@ _UTF16, _BOM = (b"\xff\xfe", b"\xfe\xff"), b"\xef\xbb\xbf"
 # Beginnings of files that are no text with poses, and what to do with them.
 _REFUSED = {
     rb"\s*\Z": "empty; check that the recording has poses",
+    rb"version https://git-lfs\.github\.com/": "a pointer of Git LFS without the data; get them: "
+    "git lfs pull --include {name}",
     rb"\x89PNG": "a picture (PNG); give a file with poses",
     rb"\xff\xd8\xff": "a picture (JPEG); give a file with poses",
     rb"GIF8": "a picture (GIF); give a file with poses",
@@ -133,7 +135,9 @@ def head_of(path: Path) -> Head:
         start = file.read(HEAD)
     for beginning, reason in _REFUSED.items():
         if re.match(beginning, start) and not start.startswith((*_PACKED, *_UTF16)):
-            raise InputError(f"{path} is {reason}")
+            import shlex  # only for this message
+
+            raise InputError(f"{path} is {reason.replace('{name}', shlex.quote(path.name))}")
     with open_lines(path) as file:
         text = file.read(HEAD)
         more = bool(file.read(1))

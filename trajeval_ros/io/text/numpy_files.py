@@ -10,6 +10,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.io.text.layouts import quaternion_in
 from trajeval_ros.io.text.names import DATE, GROUPS, Layout
 from trajeval_ros.io.text.table import EXACT, Rows
 
@@ -104,13 +105,9 @@ def _check(path: Path, layout: Layout, rows: Floats) -> None:
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
     if "quaternion" in layout.groups:
-        finite = rows[np.isfinite(rows).all(axis=1), layout.time_name == "t" :]
-        with np.errstate(over="ignore", invalid="ignore"):
-            last, first = (
-                bool((np.abs(np.linalg.norm(four, axis=1) - 1.0) < 1e-2).all())
-                for four in (finite[:, 3:], finite[:, :4])
-            )
-        if first or not last:
+        finite, first = rows[np.isfinite(rows).all(axis=1)], layout.groups["position"][0]
+        places = range(first, rows.shape[1])
+        if tuple(quaternion_in(finite, places)) != layout.groups["quaternion"]:
             raise InputError(
                 f"{path}: it is unclear which of the {rows.shape[1]} columns are the quaternion; "
                 "name them, as in {option} 't x y z qw qx qy qz'"

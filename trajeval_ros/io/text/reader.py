@@ -107,13 +107,6 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     if path.is_file():
         with path.open("rb") as file:
             beginning = file.read(HEAD)
-    if beginning.startswith(b"version https://git-lfs.github.com/"):
-        import shlex
-
-        raise InputError(
-            f"{path} is a pointer of Git LFS without the data; get them: git lfs pull --include "
-            f"{shlex.quote(path.name)}"
-        )
     if b"GGA," in beginning and re.search(ANY_GGA, beginning.replace(b"\r", b"\n")):
         return read_nmea(path)
     is_zip = beginning.startswith(b"PK\x03\x04") and b".npy" in beginning

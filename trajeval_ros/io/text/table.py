@@ -1,8 +1,8 @@
 """Rows of tables of numbers in text.
 
 np.loadtxt converts plain tables, or pyarrow if they are large. A table with empty fields, quotes,
-brackets, decimal commas or damage is read line by line by `_repaired`, which also states what is
-wrong and where.
+brackets, decimal commas, comments after `%` or damage is read line by line by `_repaired`, which
+also states what is wrong and where.
 """
 
 from __future__ import annotations
@@ -155,7 +155,10 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
         kinds = np.dtype(fields + [("end", "S1")] * table.at_end)
         with contextlib.suppress(ValueError, UnicodeError):
             if table.direct and not table.is_large:  # numpy opens the file: 15 % less time
-                parts = [_load(table.path, kinds, table.separator, skiprows=table.first)]
+                parts = [
+                    _load(table.path, kinds, table.separator, skiprows=table.first, comments="#")
+                ]
+                _keep_comments(table)
                 if advance is not None:
                     advance(table.size, table.size)
             else:
@@ -253,19 +256,38 @@ def _from_first(table: TextTable, advance: Advance | None) -> Any:
 
 
 def _load(source: Any, dtype: np.dtype[Any], separator: str, **more: Any) -> NDArray[np.void]:
-    """Return rows without comments; tables with comments are read by `_repaired`.
+    """Return rows; tables with comments after `%` are read by `_repaired`.
+
+    `more`: other arguments of np.loadtxt, which has one sign of comments at its full speed.
 
     Raises:
-        ValueError: A line is no row, or a comment.
+        ValueError: A line is no row, or a comment with a sign that is not in `more`.
     """
+    more = {"comments": None, **more}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # on no data
         rows = np.loadtxt(
-            source, dtype, None, separator or None, encoding="latin-1", ndmin=1, **more
+            source, dtype, delimiter=separator or None, encoding="latin-1", ndmin=1, **more
         )
     if dtype[0].kind == "S" and _has_comment(rows.view(np.uint8)[:: dtype.itemsize]):
         raise ValueError("a comment")
     return rows
+
+
+def _keep_comments(table: TextTable) -> None:
+    """Keep the comments between the rows of a file that numpy has read."""
+    content = table.path.read_bytes()
+    last = content.rfind(b"#")
+    if last < 0 or content.count(b"\n", 0, last) < table.first:
+        return
+    for index, line in enumerate(content.decode("latin-1").split("\n"), 1):
+        if index > table.first and "#" in line and line.lstrip()[0] == "#":
+            _keep_comment(table, line.strip(), index)
+
+
+def _keep_comment(table: TextTable, comment: str, line: int) -> None:
+    if len(table.comments) < _MOST_COMMENTS:
+        table.comments.setdefault(comment, line)
 
 
 def _has_comment(letters: NDArray[np.uint8]) -> bool:
@@ -307,8 +329,8 @@ def _repaired(
         for index, line in enumerate(lines, table.first + 1):
             body, whole = body_of(line), line.strip()
             if not body.strip() or whole in above:
-                if whole not in above and len(table.comments) < _MOST_COMMENTS:
-                    table.comments.setdefault(whole, index)
+                if whole not in above:
+                    _keep_comment(table, whole, index)
                 continue
             where = f"{table.path}, line {index}"
             body = body.replace(",", ".") if table.commas else body
