@@ -86,6 +86,31 @@ def test_what_cannot_be_decided_is_stated_above_the_tables(
     assert stated not in captured.err
 
 
+def test_whole_numbers_can_be_frames(tmp_path: Path) -> None:
+    path = write(tmp_path / "t.txt", 3 * np.arange(COUNT), PLACES, XYZW)
+    with pytest.raises(InputError, match="frame"):
+        read_trajectory(path)
+    result = read_trajectory(path, hints=SideHints.of("frame x y z qx qy qz qw", 30.0).estimate)
+    assert result.stamps.tolist() == [10**8 * row for row in range(COUNT)]
+
+
+@pytest.mark.parametrize("sign", ["#", "%"])
+def test_comments_between_rows_change_no_number(tmp_path: Path, sign: str) -> None:
+    path = write(tmp_path / "t.txt", TIMES, PLACES, XYZW, header="t x y z qx qy qz qw")
+    plain = read_trajectory(path)
+    lines = path.read_text().splitlines()
+    lines[50] += f" {sign} the end of a row"
+    lines[10:10] = [f"{sign} restart", "", f"  {sign}1 2 3 4 5 6 7 8"]
+    path.write_text("\n".join(lines))
+    commented = read_trajectory(path)
+    assert commented.stamps.tolist() == plain.stamps.tolist()
+    assert commented.positions.tobytes() == plain.positions.tobytes()
+    lines[20:20] = [f"{sign} t x y z qw qx qy qz"]
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="line 21: a comment names other columns"):
+        read_trajectory(path)
+
+
 NAMES = ["timestamp", "tx", "ty", "tz", "qw", "qx", "qy", "qz"]
 
 

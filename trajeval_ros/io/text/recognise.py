@@ -27,6 +27,8 @@ _FEWEST = 4  # names of a pose that make a header of a line of other words
 # A path is curved, and angles are its directions, by the lengths of sums of steps, before and
 # after they are rotated by the angles, per length of the path.
 _CURVED, _PARALLEL = 0.7, 0.9
+_WRAPPED = 0.9  # of a turn, between two angles
+_FARTHEST = 1e9  # coordinates that are looked at: larger ones are damaged
 # Columns of Qualisys, whose header has no units.
 _QUALISYS = {
     "time": "t", "x": "x_mm", "y": "y_mm", "z": "z_mm",
@@ -190,14 +192,14 @@ def check_heights(layout: Layout, rows: Rows) -> None:
     if not (layout.doubt and "position" in layout.groups and layout.columns[-1] == "z"):
         return
     places = rows.groups["position"]
-    places = places[np.isfinite(places).all(axis=1)]
+    places = places[(np.abs(places) < _FARTHEST).all(axis=1)]
     angles, extent = places[:, 2], np.abs(places[:, 2]).max(initial=0.0)
     steps = np.diff(places[:, 0] + 1j * places[:, 1])
     lengths = np.abs(steps)
     total = max(lengths.sum(), np.finfo(np.float64).tiny)
     for name, turn in (("yaw", 2.0 * np.pi), ("yaw_deg", 360.0)):
         turns = np.abs(np.diff(angles)) / turn
-        is_wrapped = extent <= turn and (turns > 0.9).any() and median(turns) < 0.1
+        is_wrapped = extent <= turn and (turns > _WRAPPED).any() and median(turns) < 0.1
         along = np.abs((steps * np.exp(-2j * np.pi * angles[:-1] / turn)).sum()) / total
         if is_wrapped or (along > _PARALLEL and np.abs(steps.sum()) < _CURVED * total):
             raise InputError(

@@ -187,10 +187,11 @@ def _unit(path: Path, layout: Layout, values: Floats) -> int:
         )
     key = f", but keys of GTSAM ({letters[0]}0, {letters[0]}1 ...)" if len(letters) == 1 else ""
     name = FRAME if key else likely_name(values)
+    frame = ", frame" if are_whole(values, _FRAMES).all() else ""
     raise InputError(
         f"its timestamps (up to {largest:.6g}, in steps of {step:.6g}) are neither times since "
         f"1970 nor seconds{key}; name the unit: {{option}} '{layout.named(name)}'"
-        + ("" if key else " (or t_ms, t_us, t_ns, t_s)")
+        + ("" if key else f" (or t_ms, t_us, t_ns, t_s{frame})")
     )
 
 
