@@ -84,6 +84,8 @@ def test_what_cannot_be_decided_is_stated_above_the_tables(
     captured = capsys.readouterr()
     assert stated in captured.out.partition("Absolute trajectory error")[0]
     assert stated not in captured.err
+    assert main(["groundtruth", str(path)]) == 0
+    assert stated in capsys.readouterr().out
 
 
 def test_whole_numbers_can_be_frames(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ from trajeval_ros.calibration.groundtruth_quality.sample_checks import (
 )  # fmt: skip
 from trajeval_ros.calibration.significance import SIGNIFICANT
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
 from trajeval_ros.geometry.inertial import InertialReadings
@@ -141,7 +142,7 @@ def examine(
             *quality_causes.sample_causes(checks, None, first),
         ]
         by_name = {cause.name: cause for cause in causes}
-        return ExaminedGroundtruth(by_name, checks, None, tuple(_notes(checks)))
+        return ExaminedGroundtruth(by_name, checks, None, tuple(_notes(checks, groundtruth)))
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
 
 
@@ -181,7 +182,7 @@ def _with_imu(
         residuals,
         repaired(chosen, ordered, poses.gaps, scale),
     )
-    notes = [*case.notes, *_notes_on_imu(case), *_notes(poses)]
+    notes = [*case.notes, *_notes_on_imu(case), *_notes(poses, groundtruth)]
     if brief.fixed_axes:
         notes.append(
             f"the motion does not determine the lever arm along {brief.fixed_axes}: the repaired "
@@ -315,8 +316,8 @@ def _notes_on_imu(case: start.Prepared) -> Iterator[str]:
             yield f"the IMU has {quality_causes.longest_of(spans, what, first_ns)[:-1]}"
 
 
-def _notes(poses: PoseChecks) -> list[str]:
-    notes = []
+def _notes(poses: PoseChecks, groundtruth: Trajectory) -> list[str]:
+    notes = [*groundtruth.reading.messages(Level.WARNING)]
     if poses.position_noise_m < _SMOOTH_M:
         notes.append(
             f"the groundtruth is smooth (noise {1e6 * poses.position_noise_m:.2g} um): short "
