@@ -222,3 +222,11 @@ def test_results_of_evo_are_named(tmp_path: Path) -> None:
             archive.writestr(name, "{}")
     with pytest.raises(InputError, match="has the errors of evo, and no poses; give the traject"):
         read_trajectory(path)
+
+
+def test_times_in_text_next_to_an_array_are_exact(tmp_path: Path) -> None:
+    np.save(tmp_path / "poses.npy", np.tile(np.eye(4), (3, 1, 1)))
+    stamps = [1_700_000_000_123_456_789 + 10**8 * row for row in range(3)]
+    lines = (f"{stamp // 10**9}.{stamp % 10**9:09d}\n" for stamp in stamps)
+    (tmp_path / "times.txt").write_text("".join(lines))
+    assert read_trajectory(tmp_path / "poses.npy").stamps.tolist() == stamps

@@ -53,6 +53,7 @@ from trajeval_ros.metrics.statistics import median
 ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
 _SAMPLE = 200  # rows from which the unit of the times is told
 _LONGEST_STEP_S = 10.0  # usual median step of seconds from zero
+_LARGEST_FRAME = 1e7  # of an array next to poses; larger whole numbers are times
 _FRAMES = 10**8  # limit of frame numbers, and of times that count from zero
 _TIMES = Layout("times", ("t",))  # of a file next to the poses
 # Names of columns of times and their units, as messages name them.
@@ -309,11 +310,11 @@ def _step_of_doubt(stamps: Stamps) -> float:
     return step if counts or not is_usual else 0.0
 
 
-def _rows_of_times(path: Path) -> tuple[Layout, Rows]:
+def _rows_of_times(path: Path, times: Floats | None = None) -> tuple[Layout, Rows]:
     """Return the rows of a file with one time per line, or of an array, and their layout."""
-    if path.suffix == ".npy":
-        times = load(path)[0]
-        return _TIMES, Rows(len(times), {"t": times.astype(np.float64)}, {})
+    if times is not None or path.suffix == ".npy":
+        column = np.asarray(load(path)[0] if times is None else times, np.float64)
+        return _TIMES, Rows(len(column), {"t": column}, {})
     table = sniff(path)
     if table.columns != 1:
         raise InputError(f"{path} has {table.columns} columns, expected one time per line")
@@ -327,23 +328,21 @@ def with_times(
     layout: Layout, rows: Rows, path: Path, times: Floats | None
 ) -> tuple[Layout, Rows]:
     """Add the column of times, or of frame numbers, that an array or a file next to it has."""
-    source, name = "the same file", "t"
-    if times is None:
-        source = next(map(str, files_of_times(path)), "")
-        if not source:
-            return layout, rows
-        known, column = _rows_of_times(Path(source))
-        times, name = _floats(Path(source), column.texts[known.time_name]), known.time_name
-    if times.shape != (rows.count,):
+    source = path if times is not None else next(iter(files_of_times(path)), None)
+    if source is None:
+        return layout, rows
+    of_times, column = _rows_of_times(source, times)
+    [words] = column.texts.values()
+    if words.shape != (rows.count,):
         raise InputError(
-            f"{source} has shape {times.shape} for {counted(rows.count, 'pose')}; "
+            f"{source} has times of shape {words.shape} for {counted(rows.count, 'pose')}; "
             "give one time per pose, or remove it"
         )
-    counts_frames = (times == np.round(times)).all() and np.abs(times).max(initial=0.0) < 1e7
-    columns = (FRAME if name == "t" and counts_frames else name, *layout.columns)
+    counts_frames = of_times is _TIMES and are_whole(_floats(source, words), _LARGEST_FRAME).all()
+    columns = (FRAME if counts_frames else of_times.time_name, *layout.columns)
     text = "; ".join(filter(None, (layout.note, f"times read from {source}")))
     layout = dataclasses.replace(layout, columns=columns, note=text)
-    return layout, dataclasses.replace(rows, texts={**rows.texts, layout.time_name: times})
+    return layout, dataclasses.replace(rows, texts={**rows.texts, layout.time_name: words})
 
 
 def part_of_times(path: Path, column: Floats, name: str) -> Stamps:
