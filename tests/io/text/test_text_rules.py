@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from refusals import is_refused
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.text.names import (
     BODY_TWISTS,
     FIXED_AXES,
@@ -87,6 +88,10 @@ def test_columns_of_an_array() -> None:
     unclear = rows.copy()
     unclear[:, 1:5] = unclear[:, 4:]  # both are of unit length
     assert is_refused(array_trajectory, unclear, "vio")
+    for clock in (unclear[:, 0], 21.0 * np.arange(4)):  # maybe in milliseconds
+        rows_of_clock = np.column_stack([clock, unclear[:, 1:]])
+        with pytest.raises(InputError, match=r"; pass columns to Trajectory\.from_positions\Z"):
+            array_trajectory(rows_of_clock, "vio")
     rows[2, 0] = np.nan
     result = array_trajectory(rows, "vio")
     assert (len(result), result.reading.dropped["not_finite"]) == (3, 1)

@@ -99,7 +99,10 @@ def array_trajectory(array: NDArray[np.generic], name: str) -> Trajectory:
     try:
         return trajectory_of(Path(name), *rows_of(Path(name), array), NO_HINTS, None)
     except InputError as error:
-        raise InputError(NO_HINTS.in_message(str(error))) from None
+        problem, _, option = str(error).partition("{option}")
+        if option:  # arguments say it in Python
+            problem = f"{problem.rpartition(';')[0]}; pass columns to Trajectory.from_positions"
+        raise InputError(problem) from None
 
 
 def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -> Trajectory:
