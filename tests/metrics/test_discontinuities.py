@@ -82,6 +82,26 @@ def test_a_healthy_run_has_no_event(seed: int) -> None:
     assert discontinuities(*sides(seed)) == []
 
 
+@pytest.mark.parametrize("number", [4000, 4001])  # before and after an estimated pose
+def test_one_sample_of_the_groundtruth_has_its_size(number: int) -> None:
+    """The groundtruth at the estimate's timestamps has a part of it, by interpolation."""
+    groundtruth, estimate = sides(813)
+    one = slice(number, number + 1)
+    positions, quaternions = groundtruth.positions.copy(), groundtruth.known_quaternions.copy()
+    positions[one] += [0.0, 6.0, 0.0]
+    outlier = only(
+        discontinuities(dataclasses.replace(groundtruth, positions=positions), estimate)
+    )
+    assert (outlier.kind, outlier.side) == ("outlier", "groundtruth")
+    assert outlier.m == pytest.approx(6.0, abs=0.05)
+    quaternions[one] = lie.multiply(quaternions[one], HALF_ROTATION[None])
+    flip = only(
+        discontinuities(dataclasses.replace(groundtruth, quaternions=quaternions), estimate)
+    )
+    assert (flip.kind, flip.side) == ("flip", "groundtruth")
+    assert flip.deg == pytest.approx(180.0, abs=1.0)
+
+
 @pytest.mark.parametrize("seed", [831, 832])
 @pytest.mark.parametrize("lasting_s", [8.0, 25.0])
 def test_a_flip_of_another_point_of_the_body_returns(seed: int, lasting_s: float) -> None:

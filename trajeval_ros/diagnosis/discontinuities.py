@@ -272,8 +272,8 @@ def _counted(group: Sequence[Event], first_ns: int | None) -> str:
     kind, side = group[0].kind, group[0].side
     if kind == kinds.DIVERGED and first_ns is not None:
         return _sentence_about_loss(group, first_ns)
-    largest = max(event.m for event in group)
-    size = f" of up to {largest:.2f} m" if largest else ""
+    size = max(group, key=lambda event: (event.m, event.deg)).size
+    size = size and f" of up to {size}"
     at_ns = group[0].t_ns if kind in kinds.FREEZES else group[0].end_ns
     at = f"pair {round(at_ns / _ROW_NS) + 1}"
     if first_ns is not None:

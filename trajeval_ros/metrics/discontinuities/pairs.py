@@ -51,18 +51,28 @@ class PairSource:
 
     def new_pairs(self) -> Floats:
         """Interpolate the faster side at the new timestamps of the slower one; (N, 15)."""
-        assert self.periods is not None
         base, other = self.streams[self.base], self.streams[1 - self.base]
         begin = self._next
         end = base.row_after(float(other.stamps[-1])) if len(other) > 1 else begin
         if end <= begin:
             return np.empty((0, PAIR_WIDTH))
         self._next = end
-        longest_s = max(GAP_PERIODS * self.periods[1 - self.base], _LEAST_GAP_S)
-        seconds = base.stamps[begin:end]
-        between, is_known = other.at(seconds, longest_s)
-        poses = base.poses[begin:end]
-        sides = (poses, between) if self.base == 0 else (between, poses)
+        return self._at_poses(self.base, slice(begin, end))
+
+    def within(self, number: int, begin_s: float, end_s: float) -> Floats:
+        """Interpolate the other side at the timestamps of one within a time; (N, 15)."""
+        stream = self.streams[number]
+        return self._at_poses(number, slice(stream.row_after(begin_s), stream.row_from(end_s)))
+
+    def _at_poses(self, number: int, rows: slice) -> Floats:
+        assert self.periods is not None
+        longest_s = max(GAP_PERIODS * self.periods[1 - number], _LEAST_GAP_S)
+        stream = self.streams[number]
+        seconds, poses = stream.stamps[rows], stream.poses[rows]
+        if not len(seconds):
+            return np.empty((0, PAIR_WIDTH))
+        between, is_known = self.streams[1 - number].at(seconds, longest_s)
+        sides = (poses, between) if number == 0 else (between, poses)
         return np.hstack([seconds[:, None], *sides])[is_known]
 
     def rewind(self, after_s: float) -> None:

@@ -234,11 +234,26 @@ class StepSearch:
         back = self._guilty(last, pair, self._motion.size(last, pair), step.by_parts)
         verdict = both_edges(out, back)
         if verdict.side and step.ratio >= LEAST_RATIO_OF_OUTLIER:
-            held = verdict.side in SIDES and self._moves_smoothly(verdict.side, step)
+            held = False
+            if verdict.side in SIDES:
+                step.size = self._largest(verdict.side, step, pair)
+                held = self._moves_smoothly(verdict.side, step)
             flips = is_flip(step.parts, holds_position=held)
             event = self._add(kinds.FLIP if flips else kinds.OUTLIER, verdict, step, pair)
             event.s, event.poses = float(last[0] - step.after[0]), len(step.pairs) - 2
         self._good(pair[None])
+
+    def _largest(self, side: str, step: PairStep, end: Floats) -> Size:
+        """Return the largest difference to the last good pair before `end`.
+
+        A pair at the other side's timestamps interpolates a single pose, which has more.
+        """
+        pairs = self._source.within(SIDES.index(side), step.begin[0], end[0])
+        difference = self._motion.between(step.begin, pairs)
+        return Size(
+            float(difference.m.max(initial=step.size.m)),
+            float(difference.deg.max(initial=step.size.deg)),
+        )
 
     def _moves_smoothly(self, side: str, step: PairStep) -> bool:
         number = SIDES.index(side)
