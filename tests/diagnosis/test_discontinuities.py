@@ -23,9 +23,11 @@ from trajeval_ros import (
 )
 from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.findings import Diagnosis
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.metrics.discontinuities.handling import DiscontinuityRule
+from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.pipeline.outcome import RunOutcome
 
 FIELD_CASES = SHARED / "data/field_cases"
@@ -243,6 +245,34 @@ def test_the_parts_beside_a_restart_have_their_own_errors() -> None:
 def test_a_clock_step_back_in_file_order_is_corrected_without_receive_times() -> None:
     after = outcome(GROUNDTRUTH, stepped(ESTIMATE, -4.0, received=False), correct="suggested")
     assert np.allclose(after.evaluation.estimate.stamps, ESTIMATE.stamps, atol=60_000_000)
+
+
+@pytest.mark.parametrize("step_s", [3.0, 0.5, -4.0])
+def test_a_restart_with_another_clock_is_corrected_by_both_options(step_s: float) -> None:
+    """Only the motion after a forward step shows it, and only separate alignments the error."""
+    estimate = stepped(restarted(0.0), step_s, received=False)
+    result = outcome(GROUNDTRUTH, estimate)
+    kinds = [(event.kind, event.side) for event in result.evaluation.events]
+    assert kinds == [("clock_step", "estimate"), ("restart", "estimate")]
+    after = outcome(GROUNDTRUTH, estimate, correct="clock_step")
+    together = together_m(after.evaluation.parts)
+    assert together == pytest.approx(
+        together_m(outcome(GROUNDTRUTH, restarted(0.0)).evaluation.parts), rel=0.1
+    )
+    ended = f"with --correct clock_step and --on-restart split {together:.4g} m"
+    assert texts(result.diagnosis)["clock_step"].endswith(ended)
+
+
+def test_a_rate_of_a_clock_is_corrected_if_the_errors_confirm_it() -> None:
+    """It makes a small part of this error, as that of a step that looks like a rate."""
+    seconds = (ESTIMATE.stamps - FIRST_NS) / 1e9
+    positions = ESTIMATE.positions + np.outer(np.sin(seconds / 13.0), [1.2, 1.6, 0.0])
+    stamps = ESTIMATE.stamps + np.round(2.5e6 * seconds).astype(np.int64)
+    estimate = dataclasses.replace(ESTIMATE, positions=positions, stamps=stamps)
+    estimate = held(estimate, rows(ESTIMATE, 50.0), POSE)
+    assert {"frozen", "clock_drift"} <= texts(outcome(GROUNDTRUTH, estimate).diagnosis).keys()
+    with pytest.raises(InputError, match="the errors do not confirm --correct clock_drift"):
+        outcome(GROUNDTRUTH, estimate, correct="clock_drift")
 
 
 def test_pairs_by_row_have_no_losses() -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from trajeval_ros.diagnosis.causes import CAUSES, FLAG
 from trajeval_ros.formatting.numbers import four_digits
 from trajeval_ros.formatting.remarks import Remark, warning
+from trajeval_ros.metrics.discontinuities.parts import together_m
 
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Ate
@@ -59,12 +60,14 @@ _LARGE_RATE_PPM = 1500.0  # clocks differ by less, times from a wrong frame rate
 class Verification:
     """Errors without and with the correction of a finding."""
 
+    # The position errors are those of the parts between restarts together, if there are parts.
     before: Ate | None  # None if nothing can be evaluated without it
     after: Ate
     then: str = ""  # options that correct the other findings, in `after`; "" for none
     # Rotation errors to compare, deg: with an alignment by orientations, if they are withheld only
     # because the positions determine the alignment's rotation poorly.
     rotations_deg: tuple[float | None, float | None] = (None, None)
+    of_parts: bool = False
 
     @classmethod
     def of(cls, before: Evaluation | None, after: Evaluation, then: str = "") -> Verification:
@@ -73,18 +76,19 @@ class Verification:
 
         if before is None:
             return cls(None, Ate.of(after), then)
+        ates, of_parts = [Ate.of(before), Ate.of(after)], together_m(after.parts) is not None
+        if of_parts:
+            ates = [
+                dataclasses.replace(ate, position_m=together_m(one.parts) or ate.position_m)
+                for ate, one in zip(ates, (before, after), strict=True)
+            ]
         rotations = _by_orientations(before), _by_orientations(after)
-        return cls(Ate.of(before), Ate.of(after), then, rotations)
+        return cls(ates[0], ates[1], then, rotations, of_parts)
 
-    def raises_errors(self, cause: str) -> bool:
-        """Return whether an error that a cause is about grows by more than the drift in it.
-
-        A correction that decreases the rotation error clearly is right, whatever the drift is.
-        """
-        position, rotation = self.ratios
-        if CAUSES[cause].of_error == "rotation" and rotation > _GROWS:
-            return True
-        return position > _GROWS and rotation > _CLEARLY
+    @property
+    def name(self) -> str:
+        """The name of the position errors."""
+        return "ATE of the parts" if self.of_parts else "ATE"
 
     @property
     def _rotations(self) -> list[float | None]:
@@ -108,14 +112,15 @@ class Verification:
         """Return both numbers: of the position, or of the rotation if that decreases more."""
         (position, rotation), before, after_deg = self.ratios, self.before, self._rotations[1]
         option = f"{option} and {self.then}" if self.then else option
-        with_it = f"with {option} {four_digits(self.after.position_m)} m"
+        split = " and --on-restart split" if self.of_parts else ""
+        with_it = f"with {option}{split} {four_digits(self.after.position_m)} m"
         if before is None:
             return f"ATE {with_it}"
         is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
         if before.rotation_deg is None and position < _CLEARLY:
             is_about_rotation = False  # a number that fell says more than a withheld one
         if after_deg is None or not is_about_rotation:
-            return f"ATE {four_digits(before.position_m)} m, {with_it}"
+            return f"{self.name} {four_digits(before.position_m)} m, {with_it}"
         size = before.rotation_deg
         without = "withheld" if size is None else f"{four_digits(size)} deg"
         how = " aligned by orientations" if self.after.rotation_deg is None else ""
@@ -169,13 +174,19 @@ class Finding:
         )
 
     def is_confirmed_by(self, tried: Verification) -> bool:
-        """Return whether its correction does not contradict it.
+        """Return whether the errors with its correction do not contradict it.
 
-        A large rate of a clock makes most of an error; otherwise a step in the run looks like it.
+        The error that it is about may grow by the drift in it. A correction that decreases the
+        rotation error clearly is right, whatever the drift is. A large rate of a clock makes most
+        of an error; otherwise a step in the run looks like it.
         """
-        if abs(self.evidence.get("ppm", 0.0)) > _LARGE_RATE_PPM and min(tried.ratios) > _CLEARLY:
+        position, rotation = tried.ratios
+        is_rate = abs(self.evidence.get("ppm", 0.0)) > _LARGE_RATE_PPM
+        if is_rate and min(position, rotation) > _CLEARLY:
             return False
-        return not tried.raises_errors(self.cause)
+        if CAUSES[self.cause].of_error == "rotation" and rotation > _GROWS:
+            return False
+        return position <= _GROWS or rotation <= _CLEARLY
 
     def without_advice(self, *, is_possible: bool) -> Finding:
         """Return the finding for a correction that does not help, or that is not possible."""

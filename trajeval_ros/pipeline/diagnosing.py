@@ -16,6 +16,7 @@ from trajeval_ros.diagnosis.verification import Reevaluate, verified
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt
+from trajeval_ros.metrics.discontinuities.parts import parts_of
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import median
 from trajeval_ros.pipeline.evaluation_remarks import remarks_on, require_same_body
@@ -96,7 +97,7 @@ def reevaluation(
 ) -> Callable[..., Evaluation]:
     """Return what evaluates again with corrections, without relative errors.
 
-    It does not search for `events` that it knows.
+    It does not search for `events` that it knows, and cuts the run at them.
     """
     is_whole = given.pairs is None and not request.discontinuities.changes_inputs
 
@@ -112,7 +113,9 @@ def reevaluation(
             if given.pairs is not None and correction.keys() & _TEMPORAL:
                 sides = _by_their_clocks(given.pairs)
                 changed = _with_gaps_of(given.pairs, changed)
-        return measured(sides, changed, same_as, compares=False)[2]
+        after = measured(sides, changed, same_as, compares=False)[2]
+        parts = parts_of(after.association, sides.events or (), protocol)
+        return dataclasses.replace(after, parts=parts)
 
     return reevaluate
 

@@ -243,11 +243,11 @@ def _corrected(
         after = _evaluated(given, changed, same_as)
         tried = Verification.of(outcome.evaluation, after.evaluation)
         is_hidden = finding.tried is not None and bool(finding.tried.then)
-        if tried.raises_errors(finding.cause) and not is_hidden:
+        if not finding.is_confirmed_by(tried) and not is_hidden:
             if corrected:
                 break
             raise InputError(
-                f"the errors grow with {finding.option}; correct the first finding, with "
+                f"the errors do not confirm {finding.option}; correct the first finding, with "
                 "--correct suggested"
             )
         corrected.append(dataclasses.replace(finding, tried=tried))

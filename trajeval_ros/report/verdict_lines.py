@@ -285,7 +285,7 @@ def diagnosis_lines(run: RunOutcome) -> list[str]:
         assert tried.before is not None
         if not option.startswith("--correct"):
             option += " (--correct)"
-        errors = f"ATE {_ate(tried.before)} before, {_ate(tried.after)} after"
+        errors = f"{tried.name} {_ate(tried.before)} before, {_ate(tried.after)} after"
         lines.append(f"  corrected with {option}: {errors}; {finding.sentence}")
     return lines + [f"  diagnosis: {finding.text}" for finding in run.diagnosis.findings]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities.events import BOTH, CLOCK_STEP, SIDES, Event
 from trajeval_ros.metrics.discontinuities.open_step import GAP, PairStep
@@ -98,7 +99,21 @@ class ClockSteps:
         rows = rows[:: max(1, int(_EVERY_S / period_s))]
         if len(rows) < 4 or len(other) < 4:
             return None
-        at = np.append(row - 1, rows)
+        # After a restart in the gap, only the motion since then is that of the other side.
+        firsts = (row - 1, row) if self._motion.oriented else (row - 1,)
+        sizes_s = (self._size(number, row, np.append(at, rows), limit_m) for at in firsts)
+        size_s = next((size_s for size_s in sizes_s if size_s is not None), None)
+        return None if size_s is None else (size_s, row)
+
+    def _size(self, number: int, row: int, at: Indices, limit_m: float) -> float | None:
+        """Return the size of a step before a row by the motion from the first of rows to the rest.
+
+        It is None if no step explains the motion, or if none is needed.
+        """
+        assert self._source.periods is not None
+        period_s = self._source.periods[number]
+        stream, other = self._source.streams[number], self._source.streams[1 - number]
+        stamps = stream.stamps
 
         def differences(step_s: float) -> tuple[float, float, float] | None:
             """Return the medians of the differences, metres and deg, and of the motion, metres."""
@@ -130,4 +145,4 @@ class ClockSteps:
         agrees = rest_m < min(_EXPLAINED * whole_m, limit_m) and moved_m > _TIMES_MOVED * rest_m
         # Small rotations are noise.
         agrees &= rest_deg < (0.5 if whole_deg >= 3.0 else 1.5) * max(whole_deg, 1e-9)
-        return (size_s, row) if agrees else None
+        return size_s if agrees else None

@@ -17,6 +17,7 @@ PARTING = STEP, RESTART
 DECLARED = "declared"  # certainty of a reset that the estimator states itself
 EXCURSIONS = OUTLIER, FLIP  # kinds that return to the former path
 FREEZES = FROZEN_POSITION, FROZEN_ROTATION
+ROUNDING_NS = 1000  # of an event's times
 # Multiple of the limit of usual differences from which on a step needs attention while a run
 # lasts, when its share of the error is not known.
 _LARGE = 6.0

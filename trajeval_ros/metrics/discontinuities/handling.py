@@ -16,11 +16,11 @@ from trajeval_ros.metrics.discontinuities.events import (
     CLOCK_STEP,
     EXCURSIONS,
     GROUNDTRUTH,
+    ROUNDING_NS,
     Event,
 )
 
 WHOLE, SPLIT = ON_RESTART = "whole", "split"
-_SAME_NS = 1000  # rounding of an event's time
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def without_clock_steps(
     stamps = trajectory.stamps[order] + offset_ns
     corrected = stamps.copy()
     for event in steps:
-        last = np.flatnonzero(np.abs(corrected - event.t_ns) <= _SAME_NS)
+        last = np.flatnonzero(np.abs(corrected - event.t_ns) <= ROUNDING_NS)
         if len(last):
             corrected[last[0] + 1 :] -= round(event.s * NANOSECONDS)
     return dataclasses.replace(trajectory[order], stamps=corrected - offset_ns).in_order()

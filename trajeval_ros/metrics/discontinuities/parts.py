@@ -18,6 +18,7 @@ from trajeval_ros.metrics.discontinuities.events import (
     OUTLIER,
     PARTING,
     RESTART,
+    ROUNDING_NS,
     Event,
 )
 from trajeval_ros.metrics.pair_alignment import align_pairs
@@ -68,7 +69,7 @@ def parts_of(
 def _cut(pairs: Association, events: Sequence[Event], protocol: Protocol) -> tuple[RunPart, ...]:
     """Return the parts of pairs between events; none without one."""
     stamps = pairs.groundtruth.stamps
-    cuts = [event.end_ns for event in events]
+    cuts = [event.end_ns - ROUNDING_NS for event in events]
     numbers = np.searchsorted(np.sort(np.array(cuts, dtype=np.int64)), stamps, "right")
     if not cuts or numbers[0] == numbers[-1]:
         return ()

@@ -50,7 +50,9 @@ def unusual_times(
         back = lie.conjugate(aligned.quaternions)
         angles = [_angles(lie.multiply(lie.conjugate(true.quaternions), aligned.quaternions))]
         unusual |= _unusual(angles, roots, LEAST_DEG)
-        if unusual.any():  # where the alignment does not fit, rotations between the worlds may
+        # Where the alignment does not fit, as after a step of a clock, rotations between the
+        # worlds may.
+        if unusual.any() or (roots > 1.0).any():
             worlds = lie.multiply(true.quaternions, back)
             steps, true_steps = (np.diff(side.positions, axis=0) for side in (aligned, true))
             differences.append(lengths(true_steps - lie.rotate(worlds[1:], steps)))
@@ -100,12 +102,14 @@ def _roots_of_steps(stamps: Stamps) -> Floats:
 def _unusual(kinds: Sequence[Floats], roots: Floats, least: float) -> Booleans:
     """Return which changes (N,) exceed the limit about them; `least`: the smallest limit.
 
-    Of several kinds of changes, the one with the smallest median there is compared.
+    Of several kinds of changes, the one with the smallest median there is compared. The limit
+    follows from the changes before, too, since all may grow there.
     """
-    unusual = np.empty(len(roots), dtype=bool)
+    unusual, before = np.empty(len(roots), dtype=bool), np.inf
     for begin in range(0, len(roots), _BLOCK):
         block = slice(max(0, min(begin, len(roots) - _BLOCK)), begin + _BLOCK)
         usual, _, changes = min((median(kind[block]), row, kind) for row, kind in enumerate(kinds))
         rows = slice(begin, begin + _BLOCK)
-        unusual[rows] = changes[rows] > max(least, _OF_MEDIAN * usual) * roots[rows]
+        unusual[rows] = changes[rows] > max(least, _OF_MEDIAN * min(usual, before)) * roots[rows]
+        before = usual
     return unusual
