@@ -18,7 +18,10 @@ from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
-from trajeval_ros.metrics.discontinuities.handling import without_clock_steps
+from trajeval_ros.metrics.discontinuities.handling import (
+    without_clock_steps,
+    without_groundtruth_outliers,
+)
 from trajeval_ros.metrics.discontinuities.recorded import discontinuities
 from trajeval_ros.metrics.discontinuities.screening import has_repeats, unusual_times
 from trajeval_ros.metrics.evaluation import Evaluation
@@ -100,6 +103,43 @@ def test_one_sample_of_the_groundtruth_has_its_size(number: int) -> None:
     )
     assert (flip.kind, flip.side) == ("flip", "groundtruth")
     assert flip.deg == pytest.approx(180.0, abs=1.0)
+
+
+@pytest.mark.parametrize("number", [0, 1])  # groundtruth and estimate
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("is_first", [True, False])
+def test_poses_outside_at_an_end_of_the_run_are_an_outlier(
+    number: int, count: int, *, is_first: bool
+) -> None:
+    pair = list(sides(814))
+    positions = pair[number].positions.copy()
+    until_s = pair[1].stamps[[0, -1][not is_first]] / NANOSECONDS
+    near = np.abs(pair[number].stamps / NANOSECONDS - until_s) < 0.05 * count - 0.03
+    positions[near] += [0.0, 2.0, 0.0]
+    pair[number] = dataclasses.replace(pair[number], positions=positions)
+    event = only(discontinuities(*pair))
+    assert (event.kind, event.side) == ("outlier", SIDES[number])
+    assert event.m == pytest.approx(2.0, abs=0.1)
+    assert event.poses == count
+    if number == 0:
+        kept = without_groundtruth_outliers(pair[0], [event]).stamps
+        paired = (pair[0].stamps >= event.t_ns) & (pair[0].stamps <= event.end_ns)
+        assert np.isin(pair[0].stamps, kept).tolist() == (~(near & paired)).tolist()
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("deg", [70.0, 90.0, 180.0])
+def test_a_flip_that_stays_has_its_time(side: str, deg: float) -> None:
+    pair, number = list(sides(833)), SIDES.index(side)
+    quaternions = pair[number].known_quaternions.copy()
+    rows = inside(pair[number], AT_S, np.inf)
+    flip = lie.from_rotation_vector(np.radians(deg) * np.array([[0.0, 0.6, 0.8]]))
+    quaternions[rows] = lie.multiply(quaternions[rows], flip)
+    pair[number] = dataclasses.replace(pair[number], quaternions=quaternions)
+    event = only(discontinuities(*pair))
+    assert (event.kind, event.side) == ("flip_stays", side)
+    assert event.deg == pytest.approx(deg, abs=1.0)
+    assert event.t_ns / NANOSECONDS < AT_S <= event.end_ns / NANOSECONDS < AT_S + 0.11
 
 
 @pytest.mark.parametrize("seed", [831, 832])

@@ -87,7 +87,8 @@ def without_groundtruth_outliers(groundtruth: Trajectory, events: Sequence[Event
 def _between_edges(poses: Trajectory, rows: Indices, event: Event) -> Indices:
     """Return the rows (M,) of N poses from the good one before an outlier to the one after it.
 
-    The first and the last pose of the outlier are at steps of more than half of its size.
+    The first and the last pose of the outlier are at steps of more than half of its size. One at
+    an end of the trajectory has one such step.
     """
     is_edge = np.zeros(max(len(rows) - 1, 0), dtype=bool)
     if event.m:
@@ -95,4 +96,6 @@ def _between_edges(poses: Trajectory, rows: Indices, event: Event) -> Indices:
     if event.deg and poses.quaternions is not None:
         is_edge |= np.degrees(step_angles(poses.quaternions)) > event.deg / 2.0
     edges = np.flatnonzero(is_edge)
-    return rows[edges[0] + 1 : edges[-1] + 1] if len(edges) > 1 else rows[1:-1]
+    if len(edges) == 1:
+        return rows[: edges[0] + 1] if rows[0] == 0 else rows[edges[0] + 1 :]
+    return rows[edges[0] + 1 : edges[-1] + 1] if len(edges) else rows[1:-1]

@@ -98,7 +98,7 @@ def without_outliers_m(pairs: Association, events: Sequence[Event], errors_m: np
     kept = np.ones(len(stamps), dtype=bool)
     for event in events:
         if event.kind == OUTLIER:
-            kept &= (stamps <= event.t_ns) | (stamps >= event.end_ns)
+            kept &= (stamps < event.t_ns) | (stamps > event.end_ns)
     return float(np.sqrt(np.mean(np.square(errors_m[kept])))) if kept.any() else math.nan
 
 

@@ -190,11 +190,14 @@ class RelativeMotion:
 
 
 def rotation_beyond(motion: RelativeMotion, begin: Floats, end: Floats) -> Floats:
-    """Return the matrix (3, 3) of what the groundtruth's body did not rotate as the estimate's."""
+    """Return the matrix (3, 3) by which a flip between two pairs rotates vectors in the body.
+
+    It is applied to vectors in the groundtruth's body before it, if the groundtruth flips.
+    """
     assert motion.rotation is not None
     rotated, rotated_estimate = _rotations(begin, end)
     rotated_estimate[:3] = motion.rotation @ rotated_estimate[:3]
-    return lie.to_matrix(lie.multiply(lie.conjugate(rotated_estimate), rotated))
+    return lie.to_matrix(lie.multiply(lie.conjugate(rotated), rotated_estimate))
 
 
 def _difference(begin: Floats, end: Floats) -> Difference:

@@ -62,7 +62,7 @@ def is_at_origin(
 def rotates_body(
     motion: RelativeMotion, usual: UsualDifferences, step: PairStep, row: int
 ) -> bool | None:
-    """Rotate the learned body after a flip that stays, if later motions agree with it better.
+    """Return whether motions after a flip that stays agree better with a rotated body.
 
     `row`: the first pair after the flip. Returns None if the later motion is too short to decide.
     """
@@ -84,10 +84,7 @@ def rotates_body(
             motion.between(end, later, rotation=beyond @ motion.rotation),
         )
     )
-    if rotated >= same / 2.0:
-        return False
-    motion.rotate(beyond)
-    return True
+    return rotated < same / 2.0
 
 
 def _distance(one: Floats, other: Floats) -> float:

@@ -7,6 +7,8 @@ velocity changes little there is exonerated, and the other one is guilty.
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections import deque
 
 import numpy as np
@@ -44,6 +46,7 @@ from trajeval_ros.metrics.discontinuities.relative_motion import (
     Difference,
     RelativeMotion,
     Size,
+    rotation_beyond,
 )
 from trajeval_ros.metrics.discontinuities.step_kinds import kind_of_step, rotates_body
 from trajeval_ros.metrics.discontinuities.usual_differences import UsualDifferences
@@ -55,6 +58,7 @@ _LEARN_S = 20.0  # time between updates of the limits of usual motion: a shorter
 _EXAMINED = range(-1, 4)
 _CALM_PAIRS = 5  # after a step that stays
 _AFTER_GAP_S = 3.2  # motion after a gap that determines a clock step
+_LEAST_ROTATED_DEG = 10.0  # of a step whose body may have rotated: less is an error of a heading
 _FOLLOWED = 64  # pairs that are compared at a time after a step, which mostly ends among them
 
 
@@ -121,9 +125,15 @@ class StepSearch:
         if step is not None and step.ratio >= LEAST_RATIO_OF_OUTLIER:
             verdict = self._guilty(step.begin, step.after, step.size, (True, True))
             if verdict.side:
-                # The recording ends before it is known whether the step stays.
-                verdict = SideVerdict(verdict.side, UNDECIDED, verdict.innovations, verdict.gap_s)
-                self._add(kinds.STEP, verdict, step, step.pairs[-1])
+                verdict = dataclasses.replace(verdict, certainty=UNDECIDED)
+                last = step.pairs[-1]
+                if last[0] - step.after[0] < calm_s(self._source.period_s):
+                    event = self._add_excursion(verdict, step, step.begin, last)
+                    truth = self._source.streams[0]
+                    last_s = truth.stamps[min(truth.row_from(last[0]), len(truth) - 1)]
+                    event.end_ns, event.poses = self._clocks.ns(last_s), len(step.pairs) - 1
+                else:  # the recording ends before it is known whether the step stays
+                    self._add(kinds.STEP, verdict, step, last)
 
     def _end_burn_in(self, pairs: Floats) -> None:
         self._burn_in = None
@@ -234,39 +244,50 @@ class StepSearch:
         back = self._guilty(last, pair, self._motion.size(last, pair), step.by_parts)
         verdict = both_edges(out, back)
         if verdict.side and step.ratio >= LEAST_RATIO_OF_OUTLIER:
-            held = False
-            if verdict.side in SIDES:
-                step.size = self._largest(verdict.side, step, pair)
-                held = self._moves_smoothly(verdict.side, step)
-            flips = is_flip(step.parts, holds_position=held)
-            event = self._add(kinds.FLIP if flips else kinds.OUTLIER, verdict, step, pair)
+            event = self._add_excursion(verdict, step, step.begin, pair)
             event.s, event.poses = float(last[0] - step.after[0]), len(step.pairs) - 2
         self._good(pair[None])
 
-    def _largest(self, side: str, step: PairStep, end: Floats) -> Size:
-        """Return the largest difference to the last good pair before `end`.
+    def _add_excursion(
+        self, verdict: SideVerdict, step: PairStep, good: Floats, end: Floats
+    ) -> Event:
+        """Add an outlier or a flip until `end`, with its largest difference to a good pair.
 
-        A pair at the other side's timestamps interpolates a single pose, which has more.
+        Pairs at the other side's timestamps interpolate a single pose, which has more.
         """
-        pairs = self._source.within(SIDES.index(side), step.begin[0], end[0])
-        difference = self._motion.between(step.begin, pairs)
-        return Size(
-            float(difference.m.max(initial=step.size.m)),
-            float(difference.deg.max(initial=step.size.deg)),
-        )
-
-    def _moves_smoothly(self, side: str, step: PairStep) -> bool:
-        number = SIDES.index(side)
-        innovation = self._source.innovation(number, step.begin[0], step.after[0])
-        scale = self._motion.scale if number else 1.0
-        return scale * innovation.m < EXONERATES * step.size.m
+        held = False
+        if verdict.side in SIDES:
+            number = SIDES.index(verdict.side)
+            begin_s = step.begin[0] if good is step.begin else -math.inf
+            pairs = self._source.within(number, begin_s, end[0])
+            difference = self._motion.between(good, pairs)
+            innovation = self._source.innovation(number, step.begin[0], step.after[0])
+            moved_m = innovation.m * (self._motion.scale if number else 1.0)
+            # Without the rotation between the frames, only lengths are compared.
+            least_m = moved_m if self._motion.rotation is None else step.size.m
+            step.size = Size(
+                float(difference.m.max(initial=max(least_m, step.size.m))),
+                float(difference.deg.max(initial=step.size.deg)),
+            )
+            held = moved_m < EXONERATES * step.size.m
+        flips = is_flip(step.parts, holds_position=held)
+        return self._add(kinds.FLIP if flips else kinds.OUTLIER, verdict, step, end)
 
     def _stay(self, step: PairStep) -> None:
         """Close a step after a calm second."""
         self.open = None
-        row = step.end_of_motion()
-        begin, end = step.begin, step.pairs[row]
-        size, limits = self._motion.size(begin, end), self._limits(begin, end)
+        begin, row, is_rotated = step.begin, step.end_of_motion(), None
+        size, limits = self._sized(begin, step.pairs[row])
+        if by_parts(size, limits)[1] and size.deg > _LEAST_ROTATED_DEG:
+            # After a flip, usual motions are unusual by the former body. It is the first motion,
+            # or the first two: a pose between two of the faster side is a part of it.
+            for at in sorted({1, 2, row}):
+                is_rotated = rotates_body(self._motion, self._usual, step, at)
+                if is_rotated:
+                    row = at
+                    break
+        end = step.pairs[row]
+        size, limits = self._sized(begin, end)
         parts = by_m, by_deg = by_parts(size, limits)
         ratio, first_ratio = ratio_of(size, limits), ratio_of(step.first_size, step.limits)
         if ratio < LEAST_RATIO and first_ratio > 2.0 * LEAST_RATIO and row > 1:
@@ -280,10 +301,19 @@ class StepSearch:
         if ratio < LEAST_RATIO or not verdict.side or self._ends_excursion(verdict, end):
             self._resume(step, row)
             return
+        before_s = begin[0] - self._source.begin_s
+        if before_s < calm_s(self._source.period_s):  # the first poses are outside of the path
+            event = self._add_excursion(verdict, step, end, end)
+            truth = self._source.streams[0]
+            first_s = truth.stamps[max(truth.row_after(self._source.begin_s) - 1, 0)]
+            event.t_ns, event.s = self._clocks.ns(first_s), before_s
+            event.poses = round(before_s / self._source.period_s) + 1
+            self._history.begin_part()
+            self._resume(step, row)
+            return
         before = self._motion.state
-        is_rotated = None
-        if by_deg and size.deg > 10.0:
-            is_rotated = rotates_body(self._motion, self._usual, step, row)
+        if is_rotated:
+            self._motion.rotate(rotation_beyond(self._motion, begin, end))
         kind = kinds.STEP
         if by_deg and size.deg > FLIP_DEG and (is_rotated or (is_rotated is None and not by_m)):
             kind = kinds.FLIP_STAYS
@@ -356,6 +386,10 @@ class StepSearch:
     def _periods(self) -> tuple[float, float]:
         assert self._source.periods is not None
         return self._source.periods
+
+    def _sized(self, begin: Floats, end: Floats) -> tuple[Size, tuple[float, float]]:
+        """Return the size of a step and the limits over its time."""
+        return self._motion.size(begin, end), self._limits(begin, end)
 
     def _limits(self, begin: Floats, end: Floats) -> tuple[float, float]:
         limit_m, limit_deg = self._usual.limit(float(end[0] - begin[0]))
