@@ -48,11 +48,14 @@ def _held(pair: Pair) -> Pair:
     return change(pair, "estimate", positions=positions)
 
 
-def _rotation_held(pair: Pair) -> Pair:
-    rows = _inside(pair, "estimate", math.inf)
-    quaternions = quaternions_of(pair.estimate).copy()
-    quaternions[rows] = quaternions[rows.argmax()]
-    return change(pair, "estimate", quaternions=quaternions)
+def _rotation_held(side: str) -> Make:
+    def make(pair: Pair) -> Pair:
+        rows = _inside(pair, side, math.inf)
+        quaternions = quaternions_of(getattr(pair, side)).copy()
+        quaternions[rows] = quaternions[rows.argmax()]
+        return change(pair, side, quaternions=quaternions)
+
+    return make
 
 
 def _clock(*sides: str) -> Make:
@@ -76,7 +79,10 @@ DISCONTINUITIES: dict[str, Mistake] = {
     "groundtruth flip stays": Mistake(_rotated("truth", math.inf), ("groundtruth_flip_stays",)),
     "flip stays": Mistake(_rotated("estimate", math.inf), ("flip_stays",)),
     "position held": Mistake(_held, ("frozen_position",)),
-    "rotation held": Mistake(_rotation_held, ("frozen_rotation",)),
+    "groundtruth rotation held": Mistake(
+        _rotation_held("truth"), ("groundtruth_frozen_rotation",)
+    ),
+    "rotation held": Mistake(_rotation_held("estimate"), ("frozen_rotation",)),
     "clock step": Mistake(_clock("estimate"), ("clock_step",)),
     "clock steps of both": Mistake(_clock("truth", "estimate"), ("both_clocks_step",)),
 }

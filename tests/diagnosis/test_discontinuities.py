@@ -168,6 +168,16 @@ SITUATIONS: dict[str, tuple[Trajectory, Trajectory, str | None, tuple[str, str],
         "frozen_rotation", ("frozen_rotation", "estimate"),
         "the rotation of the estimate is frozen from 40.",
     ),
+    "rotation holds for 10 s": (
+        GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, 25.0, 35.0), ("quaternions",)),
+        "frozen_rotation", ("frozen_rotation", "estimate"),
+        "the rotation of the estimate is frozen from 25.",
+    ),
+    "rotation of the groundtruth holds for 10 s": (
+        held(GROUNDTRUTH, rows(GROUNDTRUTH, 25.0, 35.0), ("quaternions",)), ESTIMATE,
+        "groundtruth_frozen_rotation", ("frozen_rotation", "groundtruth"),
+        "the rotation of the groundtruth is frozen from 25.",
+    ),
     "pose holds": (
         GROUNDTRUTH, held(ESTIMATE, rows(ESTIMATE, 30.0, 50.0), POSE), "frozen",
         ("frozen_position", "estimate"), "the estimate repeats its pose for ",

@@ -42,6 +42,10 @@ _AT, _DURING = "at {end_s:.2f} s{gap}{number}", "at {begin_s:.2f} s{lasting}{num
 _JUMPS = f"the {{side}} jumped by {{size}} {_AT}, which the {{other}} did not"
 _FLIPS = f"the {{side}} rotated by {{deg:.0f}} deg {_DURING}, which the {{other}} did not"
 _LEAVES = f"the {{side}} has an outlier of {{size}} {_DURING}"
+_HELD = (
+    "the rotation of the {side} is frozen from {begin_s:.1f} s{lasting}{number}, while the "
+    "{other} rotates by {deg:.0f} deg"
+)
 _BEFORE, _UNTIL = "evaluate the part before it", {"end": "{begin_s:.3f}"}
 _SPLIT, _DROP = "{parts}", {"drop_groundtruth_outliers": FLAG}
 
@@ -51,6 +55,7 @@ _GROUNDTRUTH_EVENTS = (
     Cause("groundtruth_flip", _FLIPS, "drop such poses", _DROP, of_error=""),
     Cause("groundtruth_flip_stays", _FLIPS, _BEFORE, _UNTIL),
     Cause("groundtruth_step", _JUMPS, _SPLIT),
+    Cause("groundtruth_frozen_rotation", _HELD, _BEFORE, _UNTIL, of_error="rotation"),
 )
 _ESTIMATE_EVENTS = (  # errors of the estimate, which are no mistakes
     Cause("restart", "the estimate restarted at its origin at {end_s:.2f} s{gap}{number}: "
@@ -61,9 +66,7 @@ _ESTIMATE_EVENTS = (  # errors of the estimate, which are no mistakes
     Cause("flip_stays", _FLIPS, _BEFORE, _UNTIL),
     Cause("frozen_position", "the position of the {side} is frozen from {begin_s:.1f} "
           "s{lasting}{number}, while the {other} moves {m:.2f} m", _BEFORE, _UNTIL),
-    Cause("frozen_rotation", "the rotation of the {side} is frozen from {begin_s:.1f} "
-          "s{lasting}{number}, while the {other} rotates by {deg:.0f} deg", _BEFORE, _UNTIL,
-          of_error="rotation"),
+    Cause("frozen_rotation", _HELD, _BEFORE, _UNTIL, of_error="rotation"),
 )
 # The most severe ones first. Those of a group are equally severe.
 _BY_SEVERITY: tuple[Cause | tuple[Cause, ...], ...] = (

@@ -19,7 +19,6 @@ from trajeval_ros.diagnosis.discontinuities import (
     changes_motions,
     examined_discontinuities,
     has_clock_step,
-    is_rotation_frozen,
     with_divergences,
     with_events,
     without_jumps,
@@ -41,11 +40,11 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
 from trajeval_ros.diagnosis.motion_tests import tests_of_motion
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
-from trajeval_ros.metrics.discontinuities.events import FROZEN
+from trajeval_ros.metrics.discontinuities.events import FROZEN, FROZEN_ROTATION
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
-    from trajeval_ros.metrics.discontinuities.events import Loss
+    from trajeval_ros.metrics.discontinuities.events import Event, Loss
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.input_summary import InputSummary
     from trajeval_ros.metrics.protocol import Protocol
@@ -99,7 +98,8 @@ def diagnose(
         evaluation = with_events(
             evaluation, groundtruth, estimate, paired=paired, is_explained=is_explained
         )
-    if is_rotation_frozen(evaluation):
+    frozen = [event for event in evaluation.events if event.kind == FROZEN_ROTATION]
+    if frozen and known.named("rotations") and not _tested(inputs, frozen).named("rotations"):
         known = known.without("rotations", "a rotation is frozen")
     # After a step of a clock, motions agree by chance with wrong conventions, too.
     if any(map(_explains_motions, known.findings)) and not has_clock_step(evaluation):
@@ -222,7 +222,7 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
     return None
 
 
-def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
+def _tested(inputs: InputPair, losses: Sequence[Event] = ()) -> Diagnosis:
     """Apply all tests of the inputs where the estimate is not lost; none if hardly any is left."""
     if losses:
         inputs = inputs.tracked(losses)

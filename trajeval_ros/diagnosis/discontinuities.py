@@ -30,7 +30,6 @@ _FALLS = 0.8  # of the ATE: steps that cause more of it are a finding
 # The same without outliers: a good estimate has a few, which are its errors.
 _OUTLIERS_FALL = {kinds.GROUNDTRUTH: 0.8, kinds.ESTIMATE: 0.5}
 _SIGMAS = 5.0  # errors: a larger outlier of the groundtruth is wrong, whatever its share is
-_LARGE_PART = 0.2  # of the run
 _NOISY = "gnss"  # kind of groundtruth whose noise hides steps
 _MOST = 3  # parts that are named
 _ROW_NS = NANOSECONDS // 10  # between poses without timestamps, as of most recordings
@@ -83,12 +82,6 @@ def without_jumps(evaluation: Evaluation) -> Evaluation:
     """Return an evaluation with exact repeats alone as events, which no convention explains."""
     events = tuple(event for event in evaluation.events if event.kind in kinds.FREEZES)
     return dataclasses.replace(evaluation, events=events, parts=())
-
-
-def is_rotation_frozen(evaluation: Evaluation) -> bool:
-    """Return whether a rotation is frozen for a large part of the run, as if it was wrong."""
-    frozen = [event.s for event in evaluation.events if event.kind == kinds.FROZEN_ROTATION]
-    return sum(frozen) > _LARGE_PART * evaluation.association.estimate.duration_s
 
 
 def with_divergences(evaluation: Evaluation, losses: Sequence[Loss]) -> Evaluation:

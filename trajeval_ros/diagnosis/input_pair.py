@@ -16,11 +16,10 @@ from trajeval_ros.geometry.interpolation import mix, slerp, steps_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import every_nth
 from trajeval_ros.metrics.association import INTERPOLATING
-from trajeval_ros.metrics.discontinuities.events import FROZEN
+from trajeval_ros.metrics.discontinuities.events import FREEZES, FROZEN, Event, Loss
 from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
-    from trajeval_ros.metrics.discontinuities.events import Loss
     from trajeval_ros.metrics.protocol import Protocol
 
 FEWEST = 12  # poses, motions or repetitions: fewer are no evidence
@@ -160,13 +159,14 @@ class InputPair:
         is_stamped = self.groundtruth.reading.stamped and self.estimate.reading.stamped
         return self.protocol.association.method != "index" and is_stamped
 
-    def tracked(self, losses: Sequence[Loss]) -> InputPair:
-        """Return both sides until a divergence or the end, the estimate without frozen poses."""
+    def tracked(self, losses: Sequence[Event]) -> InputPair:
+        """Return both sides until a divergence or the end, the estimate without frozen parts."""
         stamps = self.estimate.stamps + round(self.offset_s * NANOSECONDS)
         true_stamps = self.groundtruth.stamps
         kept, true_kept = np.ones(len(stamps), dtype=bool), np.ones(len(true_stamps), dtype=bool)
         for loss in losses:
-            goes_on = loss.is_over and loss.kind == FROZEN
+            is_over = isinstance(loss, Loss) and loss.is_over and loss.kind == FROZEN
+            goes_on = is_over or loss.kind in FREEZES
             kept &= (stamps <= loss.t_ns) | (goes_on & (stamps > loss.end_ns))
             true_kept &= (true_stamps <= loss.t_ns) | goes_on
         sides = self.groundtruth[true_kept], self.estimate[kept]
