@@ -81,6 +81,20 @@ def test_a_divergence_is_named_soon(
     assert event.moved_m == pytest.approx(moved_m, rel=0.15, abs=0.3 * speed_mps)
 
 
+@pytest.mark.parametrize("seed", [0, 8, 15])
+def test_a_slow_divergence_of_noisy_poses_is_named_at_changing_speed(seed: int) -> None:
+    """It is not learned as usual while it is too small to be named."""
+    random = np.random.default_rng(seed)
+    seconds, true = curve(AT_S + 30.0, 1.0)
+    phases, rates = random.uniform(0.0, 6.0, (6, 3)), random.uniform(0.3, 1.2, (6, 3))
+    true[:, :3] = 4.0 * np.sin(seconds[:, None, None] * rates + phases).sum(axis=1)
+    own = true.copy()
+    own[:, :3] += random.normal(0.0, 0.01, (len(own), 3))
+    own[:, :3] += np.outer(0.05 * np.maximum(seconds - AT_S, 0.0) ** 2, ACROSS)
+    _, (named_s, *_) = events_of(seconds, true, own)
+    assert AT_S < named_s < AT_S + 15.0
+
+
 @pytest.mark.parametrize("noise_m", [0.001, 0.003])
 def test_an_estimate_that_holds_with_noise_diverges(noise_m: float) -> None:
     seconds, true = curve(AT_S + 20.0, 1.0)

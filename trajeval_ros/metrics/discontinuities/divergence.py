@@ -157,16 +157,16 @@ class Divergence:
             self._begin_ns, self._since_m, self._moved_m = begin_ns, 0.0, 0.0
             self._of_body = self._before = 0.0
             self._apart_since_m, self._lengths_since_m, self._steps_since = np.zeros(3), 0.0, 0
-        self._apart_since_m = self._apart_since_m + apart_m
-        self._lengths_since_m += float(np.linalg.norm(apart_m))
-        self._steps_since += 1
         self._since_m += groundtruth_m
         self._moved_m += moved_m
         self._sum = _accumulated(self._sum, excess)
-        # The smaller of two in a row, since a jump is in one.
-        self._of_body = _accumulated(self._of_body, min(of_body, self._before))
-        self._before = of_body
         if not self._is_lost:
+            # The smaller of two in a row, since a jump is in one.
+            self._of_body = _accumulated(self._of_body, min(of_body, self._before))
+            self._before = of_body
+            self._apart_since_m = self._apart_since_m + apart_m
+            self._lengths_since_m += float(np.linalg.norm(apart_m))
+            self._steps_since += 1
             if self._agreed:
                 lasted_s = (end_ns - self._begin_ns) / NANOSECONDS
                 usual_m = max(
@@ -214,7 +214,8 @@ class Divergence:
         if self._rotations is not None:
             ratios = np.minimum(*self._ratios_of(steps))
             moves = steps[_GROUNDTRUTH_M] > _MOVES_MPS * steps[_TIME_S]
-            self._ratios = [*self._ratios, *ratios[moves].tolist()][-_KEPT:]
+            if not self._sum:  # what may be a divergence is not usual
+                self._ratios = [*self._ratios, *ratios[moves].tolist()][-_KEPT:]
             if len(self._ratios) >= _LEAST_KEPT:
                 tail = sorted(self._ratios)[int(0.95 * len(self._ratios))]
                 self._limit = min(max(_TIMES_USUAL * tail, _DRIFT[0]), _DRIFT[1])
