@@ -60,7 +60,9 @@ def test_withheld_rotation_errors_count_as_180_deg() -> None:
 def test_the_rotation_error_is_stated_if_it_decreases_more(
     position: float, rotation: float, *, of_rotation: bool
 ) -> None:
-    text = Verification(Ate(2.0, 10.0), Ate(2.0 * position, 10.0 * rotation), then="Y").text("X")
+    text = Verification(Ate(2.0, 10.0), Ate(2.0 * position, 10.0 * rotation), then=("Y",)).text(
+        "X"
+    )
     assert text.startswith("rotation ATE 10 deg, " if of_rotation else "ATE 2 m, ")
     assert ", with X and Y " in text
 

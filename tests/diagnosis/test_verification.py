@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros import Request, Trajectory, run
 from trajeval_ros.calibration.apply import Ate
+from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.findings import Verification
 from trajeval_ros.geometry import lie
 
@@ -88,6 +92,36 @@ def test_corrections_are_repeated_until_nothing_is_left() -> None:
     steps = [item.cause for item in after.runs[0].corrected]
     assert sorted(steps) == ["unit", "wxyz"]
     assert not after.runs[0].diagnosis.findings
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("inverse, estimate", "estimate in mm"),  # both by --correct
+        ("clock +18 s", "estimate in mm"),
+        ("transposed rotations", "marker"),
+        ("scale lost", "clock +0.2 s"),
+    ],
+)
+def test_the_options_of_all_findings_give_the_stated_error(
+    one: str, other: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mistakes = {**MISTAKES, **FURTHER}
+    wrong = mistakes[one].make(mistakes[other].make(DRONE))
+    first = diagnosis_of(wrong).suggested
+    assert first is not None
+    stated = re.search(r", with (.*) ([0-9.]+) (m|deg)", first.text)
+    assert stated is not None
+    options, files = shlex.split(stated[1].replace(" and ", " ")), []
+    for name, side in (("truth", wrong.truth), ("estimate", wrong.estimate)):
+        columns = side.stamps / 1e9, side.positions, quaternions_of(side)
+        np.savetxt(tmp_path / f"{name}.txt", np.column_stack(columns), fmt="%.9f")
+        files.append(str(tmp_path / f"{name}.txt"))
+    if "--gauge" not in options:
+        options += ["--gauge", wrong.protocol.gauge.value]
+    assert main(["evaluate", *files, "--lengths", "none", *options]) == 0
+    shown = capsys.readouterr().out.splitlines()[0]
+    assert f" {stated[2]} {stated[3]}" in shown
 
 
 def test_a_frozen_groundtruth_is_no_clock_offset() -> None:

@@ -63,14 +63,16 @@ class Verification:
     # The position errors are those of the parts between restarts together, if there are parts.
     before: Ate | None  # None if nothing can be evaluated without it
     after: Ate
-    then: str = ""  # options that correct the other findings, in `after`; "" for none
+    then: tuple[str, ...] = ()  # options that correct the other findings, in `after`
     # Rotation errors to compare, deg: with an alignment by orientations, if they are withheld only
     # because the positions determine the alignment's rotation poorly.
     rotations_deg: tuple[float | None, float | None] = (None, None)
     of_parts: bool = False
 
     @classmethod
-    def of(cls, before: Evaluation | None, after: Evaluation, then: str = "") -> Verification:
+    def of(
+        cls, before: Evaluation | None, after: Evaluation, then: tuple[str, ...] = ()
+    ) -> Verification:
         """Return the errors of two evaluations, or of one if there is none before."""
         from trajeval_ros.calibration.apply import Ate
 
@@ -111,9 +113,11 @@ class Verification:
     def text(self, option: str) -> str:
         """Return both numbers: of the position, or of the rotation if that decreases more."""
         (position, rotation), before, after_deg = self.ratios, self.before, self._rotations[1]
-        option = f"{option} and {self.then}" if self.then else option
-        split = " and --on-restart split" if self.of_parts else ""
-        with_it = f"with {option}{split} {four_digits(self.after.position_m)} m"
+        options = option, *self.then
+        if sum(one.startswith("--correct") for one in options) > 1:
+            options = ("--correct suggested",)  # it corrects all of them
+        option = " and ".join((*options, *("--on-restart split",) * self.of_parts))
+        with_it = f"with {option} {four_digits(self.after.position_m)} m"
         if before is None:
             return f"ATE {with_it}"
         is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position

@@ -39,7 +39,7 @@ def verified(diagnosis: Diagnosis, before: Evaluation | None, reevaluate: Reeval
         options = dict.fromkeys(one.option for one in corrected if one.option != first.option)
         with contextlib.suppress(TrajevalError):
             after = reevaluate(steps)
-            is_possible, tried = True, Verification.of(before, after, " and ".join(options))
+            is_possible, tried = True, Verification.of(before, after, tuple(options))
             if first.is_confirmed_by(tried):
                 checked = dataclasses.replace(first, tried=tried)
                 break
