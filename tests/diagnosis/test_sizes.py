@@ -53,6 +53,20 @@ def test_a_tilt_of_the_world(pair: Pair, deg: float) -> None:
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: pair.name)
+@pytest.mark.parametrize("offset_s", [0.0, 0.1])
+def test_an_offset_of_keyframes(pair: Pair, offset_s: float) -> None:
+    """Their timestamps are right within a part of a frame, not of the time to the next one."""
+    steps = np.random.default_rng(5).integers(5, 11, 400)  # of the frames, at 20 Hz
+    rows = np.cumsum(steps)
+    keyframes = pair.estimate[rows[rows < len(pair.estimate)]]
+    named = {finding.cause: finding for finding in findings(pair, late(keyframes, offset_s))}
+    assert list(named.keys() - {"keyframes"}) == ["small_clock_offset"] * bool(offset_s)
+    if offset_s:
+        measured_s = float(named["small_clock_offset"].correction["time_offset"])
+        assert measured_s == pytest.approx(-offset_s, abs=0.005)
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: pair.name)
 @pytest.mark.parametrize("offset_s", [0.0, 0.04, -0.1, 0.2, -0.35, 2.0, -18.0])
 def test_an_offset_of_the_clock(pair: Pair, offset_s: float) -> None:
     named = findings(pair, late(pair.estimate, offset_s))

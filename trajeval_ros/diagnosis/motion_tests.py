@@ -46,7 +46,7 @@ from trajeval_ros.diagnosis.motion_parameters import (
 from trajeval_ros.diagnosis.short_motions import ShortMotions
 from trajeval_ros.diagnosis.world_axes import vertical_axes
 from trajeval_ros.geometry.arrays import lengths
-from trajeval_ros.metrics.statistics import median
+from trajeval_ros.metrics.statistics import median, quantile
 
 _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1  # of the groundtruth to interpolate across
 AGREE_NATS = 3.0  # per independent motion: unrelated motions reach less
@@ -59,7 +59,9 @@ _OF_DIRECTIONS = {AS_READ, "wxyz", "xyzw", "inverse", "mirrored"}
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
 _REFINED_S = 0.03  # largest clock error from which on motions are sampled again
 _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
-_STEPS_APART = 0.05  # of a step of the estimate, healthy offset of its timestamps
+# Of the time between two frames, healthy offset of the timestamps; and quantile of the estimate's
+# steps that is nearest to this time: a smaller one is jitter of the timestamps.
+_STEPS_APART, _OF_FRAMES = 0.05, 0.1
 
 
 def tests_of_motion(inputs: InputPair, *, is_copied: bool) -> list[TestResult]:
@@ -218,7 +220,7 @@ class _Comparison:
             offset_s += parameters.offset_s
             fitted = clock.factor * (1.0 + parameters.rate) - 1.0
             rows = {  # values, and healthy spreads of this run
-                "offset": (OFFSET, offset_s, _STEPS_APART * self.estimate.usual_step_s),
+                "offset": (OFFSET, offset_s, _STEPS_APART * self._frame_s),
                 "rate": (RATE, parameters.rate, _WANDER_S / max(span_s, 1.0)),
             }
             statistics |= {"fitted_offset_s": offset_s, "fitted_ppm": 1e6 * fitted}
@@ -240,6 +242,11 @@ class _Comparison:
         applied_s = self.inputs.protocol.association.time_offset_s
         seen = clock.seen(offset_s, rate, span_s / clock.factor, applied_s)
         return TestResult("clocks", statistics, (seen,) * is_stated)
+
+    @property
+    def _frame_s(self) -> float:
+        """The time between two frames, which is at most the time between two keyframes."""
+        return quantile(np.sort(np.diff(self.estimate.seconds)), _OF_FRAMES)
 
     def _scale_result(self, scale: float, variance: float) -> TestResult:
         statistics = {"scale": scale, "sigma_of_log": math.sqrt(variance)}
