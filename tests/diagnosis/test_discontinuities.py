@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -316,6 +317,20 @@ def test_a_correction_is_no_cut() -> None:
     evaluation = outcome(GROUNDTRUTH, closed).evaluation
     assert [event.kind for event in evaluation.events] == ["correction"]
     assert evaluation.parts == ()
+
+
+def test_steps_of_both_sides_at_once_are_undecided() -> None:
+    """A correction of the estimate, and the groundtruth steps at that time: any side is wrong."""
+    sides = (
+        moved(GROUNDTRUTH, rows(GROUNDTRUTH, 30.0), 1.0),
+        moved(ESTIMATE, rows(ESTIMATE, 30.0), 1.2),
+    )
+    evaluation = outcome(*sides).evaluation
+    assert [(item.kind, item.side) for item in evaluation.events] == [("step", "undecided")]
+    [text] = [item.text for item in evaluation.remarks if item.code == "discontinuities"]
+    sizes = r"of up to 2\.\d+ m \((1|1\.0\d|0\.9\d+) m in the .*, 1\.[12]\d* m in the estimate's\)"
+    expected = f"1 step of an undecided side {sizes}, at 30\\.\\d s; compare with a second source"
+    assert re.fullmatch(expected, text)
 
 
 def test_events_and_segments_are_in_the_result(

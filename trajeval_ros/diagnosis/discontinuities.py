@@ -265,16 +265,21 @@ def _counted(group: Sequence[Event], first_ns: int | None) -> str:
     kind, side = group[0].kind, group[0].side
     if kind == kinds.DIVERGED and first_ns is not None:
         return _sentence_about_loss(group, first_ns)
-    size = max(group, key=lambda event: (event.m, event.deg)).size
-    size = size and f" of up to {size}"
+    largest = max(group, key=lambda event: (event.m, event.deg))
+    size = largest.size and f" of up to {largest.size}"
     at_ns = group[0].t_ns if kind in kinds.FREEZES else group[0].end_ns
     at = f"pair {round(at_ns / _ROW_NS) + 1}"
     if first_ns is not None:
         at = f"{(at_ns - first_ns) / NANOSECONDS:.1f} s"
     first = f"at {at}" if len(group) == 1 else f"the first at {at}"
-    whose = "of an undecided side" if side == kinds.UNDECIDED else f"of the {side}"
+    whose, shares = f"of the {side}", ""
+    if side == kinds.UNDECIDED:
+        value, unit = (largest.m, "m") if largest.m else (largest.deg, "deg")
+        one, other = (f"{share * value:.3g} {unit}" for share in largest.innovations)
+        whose = "of an undecided side"
+        shares = f" ({one} in the groundtruth's own motion, {other} in the estimate's)"
     noun = _NOUNS.get(kind, kind.replace("_", " "))
-    return f"{counted(len(group), noun)} {whose}{size}, {first}"
+    return f"{counted(len(group), noun)} {whose}{size}{shares}, {first}"
 
 
 def _sentence_about_loss(group: Sequence[Event], first_ns: int) -> str:
