@@ -214,7 +214,8 @@ class Divergence:
         if self._rotations is not None:
             ratios = np.minimum(*self._ratios_of(steps))
             moves = steps[_GROUNDTRUTH_M] > _MOVES_MPS * steps[_TIME_S]
-            if not self._sum:  # what may be a divergence is not usual
+            # What may be a divergence is not usual, unless it lasts without being one.
+            if not self._sum or self._steps_since > _CHUNK:
                 self._ratios = [*self._ratios, *ratios[moves].tolist()][-_KEPT:]
             if len(self._ratios) >= _LEAST_KEPT:
                 tail = sorted(self._ratios)[int(0.95 * len(self._ratios))]

@@ -320,8 +320,7 @@ class StepSearch:
         elif verdict.side in (kinds.ESTIMATE, UNDECIDED):
             origin = self._source.streams[1].first[:3]
             kind = kind_of_step(self._motion, self._history, origin, (begin, end), size, verdict)
-        step.size = Size(size.m if by_m else 0.0, size.deg if by_deg else 0.0)
-        step.limits = limits
+        step.size, step.limits = size, limits
         event = self._add(kind, verdict, step, end)
         event.poses = row
         self._stayed.append((begin, end, event, before))
