@@ -50,9 +50,7 @@ def unusual_times(
         back = lie.conjugate(aligned.quaternions)
         angles = [_angles(lie.multiply(lie.conjugate(true.quaternions), aligned.quaternions))]
         unusual |= _unusual(angles, roots, LEAST_DEG)
-        # Where the alignment does not fit, as after a step of a clock, rotations between the
-        # worlds may.
-        if unusual.any() or (roots > 1.0).any():
+        if unusual.any():  # where the alignment does not fit, rotations between the worlds may
             worlds = lie.multiply(true.quaternions, back)
             steps, true_steps = (np.diff(side.positions, axis=0) for side in (aligned, true))
             differences.append(lengths(true_steps - lie.rotate(worlds[1:], steps)))
