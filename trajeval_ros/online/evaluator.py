@@ -12,7 +12,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association, AssociationRule
+from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
@@ -48,6 +48,7 @@ class OnlineEvaluator:
 
     Attributes:
         buffer: The pairing of the states.
+        rule: Rule of the association, with `auto` as resolved so far.
         frames: Up axes of both frames, and conversions.
         store: The pairs of the window, and those that relative errors still need.
         losses: Losses of tracking: frozen and diverging estimates.
@@ -77,6 +78,7 @@ class OnlineEvaluator:
         self._count = 0
         self._measured_until = NEVER  # newest measured pair
         self._measured_at = NEVER  # newest state at the last measurement
+        self._has_news = False  # whether states or pairs were added since then
         self._ended: tuple[RelativeEnd, ...] = ()  # since the last update
         self._yaw = YawInformation()
         self._ate_before_m: float | None = None  # until nothing suggested a loss of tracking
@@ -93,6 +95,7 @@ class OnlineEvaluator:
         if not self._is_settled:
             self._settle(block)
         self.buffer.add_groundtruth(block)
+        self._has_news = True
 
     def add_estimate(self, block: Trajectory) -> None:
         """Take new estimated states, in any order; see `add_groundtruth`.
@@ -106,6 +109,7 @@ class OnlineEvaluator:
         if offset_ns := self.settings.offset_ns:
             block = dataclasses.replace(block, stamps=block.stamps + offset_ns)
         self.buffer.add_estimate(block)
+        self._has_news = True
 
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate the states since the last call.
@@ -125,6 +129,7 @@ class OnlineEvaluator:
         update = Update()
         if pairs is not None and len(pairs):
             self._count += len(pairs)
+            self._has_news = True
             evaluated = self.frames.upright(pairs)
             self.store.add(evaluated)
             self._aligning.add(evaluated)
@@ -180,12 +185,6 @@ class OnlineEvaluator:
             about_yaw=self._yaw.remark,
             doubts=doubts,
         )
-
-    @property
-    def rule(self) -> AssociationRule:
-        """Rule of the association, with `auto` as resolved so far."""
-        kind = "points" if self.buffer.at_groundtruth else "poses"
-        return self.settings.protocol.association.for_kind(kind)
 
     @property
     def pairs(self) -> int:
@@ -263,6 +262,9 @@ class OnlineEvaluator:
 
     def _measure(self, *, at_end: bool = False) -> None:
         """Measure coverage, losses and ended sub-trajectories; forget what nothing needs."""
+        if not (self._has_news or at_end):
+            return
+        self._has_news = False
         begin = int(self.store.stamps().searchsorted(self._measured_until, side="right"))
         self._measured_until = self.store.newest
         self._measured_at = self.buffer.newest
@@ -301,6 +303,8 @@ class OnlineEvaluator:
 
     def _pair_by(self, buffer: Pairing) -> None:
         self.buffer = buffer
+        kind = "points" if buffer.at_groundtruth else "poses"
+        self.rule = self.settings.protocol.association.for_kind(kind)
         self.losses = TrackingLosses(of_fixes=buffer.at_groundtruth, max_gap_s=buffer.max_gap_s)
         self._coverage: LiveCompleteness | LiveCoverage = (
             LiveCompleteness(buffer)
