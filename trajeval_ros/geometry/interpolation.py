@@ -6,6 +6,7 @@ All interpolation of poses in the package, live and recorded, has this arithmeti
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ class Bracket:
     late: Booleans  # (N,) whether it is after all states
     gap: Booleans  # (N,) whether it is in a gap
 
-    @property
+    @cached_property
     def usable(self) -> Booleans:
         """Whether the trajectory has a state at the timestamp, or one on both sides, (N,)."""
         usable: Booleans = ~(self.early | self.late | self.gap)

@@ -100,7 +100,8 @@ class Trajectory:
             column = getattr(self, name)
             if column is not None:
                 require_column(name, column, (count, *row_shape))
-                object.__setattr__(self, name, np.ascontiguousarray(column))
+                if not column.flags.c_contiguous:
+                    object.__setattr__(self, name, np.ascontiguousarray(column))
         self.reading.require_rows(count)
         if self.stamps.dtype != np.int64:
             raise TypeError(f"timestamps must be int64 nanoseconds, not {self.stamps.dtype}")

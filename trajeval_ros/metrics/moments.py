@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 
 import numpy as np
@@ -206,7 +206,7 @@ class OrientationSum:
     def __sub__(self, other: OrientationSum) -> OrientationSum:
         return OrientationSum(self.weight - other.weight, self.total - other.total)
 
-    @property
+    @cached_property
     def mean(self) -> Floats:
         """Mean of A B^T, (3, 3)."""
         mean: Floats = self.total / self.weight
