@@ -46,6 +46,8 @@ class PairedStates:
     def without_covariances(self) -> PairedStates:
         """Return the pairs without covariances."""
         sides = (self.groundtruth, self.estimate)
+        if all(side.covariances is None for side in sides):
+            return self
         return PairedStates(*(replace(side, covariances=None) for side in sides))
 
 

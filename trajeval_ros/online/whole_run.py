@@ -31,7 +31,7 @@ class ThinnedRun:
     def __init__(self) -> None:
         self._every, self._seen = 1, 0
         self._sides = Tail(), Tail()
-        self._newest: PairedStates | None = None
+        self._newest: PairedStates | None = None  # the newest pairs that were added
 
     def __len__(self) -> int:
         """Return the number of stored pairs, without the newest one."""
@@ -42,16 +42,17 @@ class ThinnedRun:
         """Time from the first to the newest pair, seconds; 0 without pairs."""
         if self._newest is None:
             return 0.0
-        return int(self._newest.stamps[0] - self._sides[0].stamps[0]) / NANOSECONDS
+        return int(self._newest.stamps[-1] - self._sides[0].stamps[0]) / NANOSECONDS
 
     def add(self, pairs: PairedStates) -> None:
         """Take new pairs."""
         if not len(pairs):
             return
-        picked = pairs.part(slice(-self._seen % self._every, None, self._every))
+        first = -self._seen % self._every
         self._seen += len(pairs)
-        self._newest = pairs.part(slice(-1, None))
-        self._add(picked)
+        self._newest = pairs
+        if first < len(pairs):
+            self._add(pairs.part(slice(first, None, self._every)))
         while len(self) > MOST_POSES:
             self._every *= 2
             picked = self._stored(np.arange(0, len(self), 2))
@@ -60,9 +61,10 @@ class ThinnedRun:
 
     def pairs(self) -> PairedStates:
         """Return copies of the pairs in order of time, including the newest one."""
-        stored, newest = self._stored(np.arange(len(self))), self._newest
-        if newest is None or newest.stamps[0] <= self._sides[0].newest:
+        stored = self._stored(np.arange(len(self)))
+        if self._newest is None or self._newest.stamps[-1] <= self._sides[0].newest:
             return stored
+        newest = self._newest.part(slice(-1, None))
         return PairedStates(
             joined(stored.groundtruth, newest.groundtruth),
             joined(stored.estimate, newest.estimate),

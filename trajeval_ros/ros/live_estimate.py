@@ -98,7 +98,7 @@ class LiveEstimate:
         self._updates: list[Update] = []
         self.newest = Update()  # the newest one with pairs
         self.newest_snapshot: Snapshot | None = None
-        self._newest: Trajectory | None = None  # the state of the newest message
+        self._newest: Trajectory | None = None  # the states of the newest messages
         self._undigested: list[PairedStates] = []
         self.availability: LiveAvailability | None = None  # as-available, if requested
         if settings.available.is_asked_for:
@@ -152,7 +152,7 @@ class LiveEstimate:
             self._add(states[new], None)
             return
         if len(decoded):
-            self._newest = decoded[-1:]
+            self._newest = decoded
         for stamp in messages.resets:
             if stamp + self.offset_ns > self._begin_ns:
                 self._declare(stamp + self.offset_ns)
@@ -328,7 +328,7 @@ class LiveEstimate:
         They refer to the evaluated body, with the clock offset applied, as in pairs. None without
         a message, or if its covariance is unknown.
         """
-        newest = self._newest
+        newest = None if self._newest is None else self._newest[-1:]
         if newest is None or newest.covariances is None:
             return None
         # `unknown_covariances` accepts zeros in the first covariance, so it is passed twice.
