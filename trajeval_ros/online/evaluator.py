@@ -222,7 +222,10 @@ class OnlineEvaluator:
 
         A larger window fills with new pairs. A new length starts at the next pair.
         """
-        self.settings = self.settings.with_lengths_and_window_of(settings)
+        protocol = dataclasses.replace(self.settings.protocol, lengths=settings.protocol.lengths)
+        self.settings = dataclasses.replace(
+            self.settings, protocol=protocol, window=settings.window
+        )
         self._relative = self._relative.with_lengths(self.settings.protocol, self.store.newest)
 
     def association(self) -> Association:

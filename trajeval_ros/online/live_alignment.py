@@ -126,15 +126,15 @@ class LiveAlignment:
         by_positions = solution.by_positions
         return dataclasses.replace(
             solution,
-            similarity=self._unshifted(solution.similarity),
-            by_positions=None if by_positions is None else self._unshifted(by_positions),
+            similarity=self._shifted(solution.similarity, -1.0),
+            by_positions=None if by_positions is None else self._shifted(by_positions, -1.0),
         )
 
-    def _unshifted(self, similarity: Similarity) -> Similarity:
-        return self._shifted(similarity, -1.0)
-
     def _shifted(self, similarity: Similarity, sign: float = 1.0) -> Similarity:
-        """Return an alignment of the frames as one of coordinates relative to the first pair."""
+        """Return an alignment of the frames as one of coordinates relative to the first pair.
+
+        With sign -1, the inverse conversion.
+        """
         assert self._origin is not None
         p, q = (sign * item for item in self._origin)
         translation = similarity.translation - p + similarity.linear @ q

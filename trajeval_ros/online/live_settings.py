@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
 from trajeval_ros.exceptions import SettingsError
@@ -16,9 +15,6 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Selection
 from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.online.window import Window
-
-if TYPE_CHECKING:
-    from trajeval_ros.geometry.marker import HandEye
 
 
 @dataclass(frozen=True, init=False)
@@ -82,15 +78,6 @@ class OnlineSettings:
         """Return the settings with another offset of the estimate's timestamps, seconds."""
         rule = replace(self.protocol.association, time_offset_s=offset_s)
         return replace(self, protocol=replace(self.protocol, association=rule))
-
-    def with_lengths_and_window_of(self, other: OnlineSettings) -> OnlineSettings:
-        """Return the settings with the lengths of sub-trajectories and the window of others."""
-        protocol = replace(self.protocol, lengths=other.protocol.lengths)
-        return replace(self, protocol=protocol, window=other.window)
-
-    def with_moved_groundtruth(self, hand_eye: HandEye) -> OnlineSettings:
-        """Return the settings for groundtruth that was moved from a marker to the body."""
-        return replace(self, covariances=self.covariances.of_moved_groundtruth(hand_eye))
 
     @property
     def offset_s(self) -> float:

@@ -111,12 +111,10 @@ class Pairing:
 
     def add_groundtruth(self, block: Trajectory) -> None:
         """Take groundtruth states in any order."""
-        self.groundtruth_counts.count(block.stamps)
         self._add(self.groundtruth, self.groundtruth_counts, block)
 
     def add_estimate(self, block: Trajectory) -> None:
         """Take estimated states in any order; covariances of interpolated ones are dropped."""
-        self.estimate_counts.count(block.stamps)
         self._add(self.estimate, self.estimate_counts, block)
 
     @property
@@ -291,6 +289,7 @@ class Pairing:
     def _add(self, side: Tail, counts: StateCounts, block: Trajectory) -> None:
         if not len(block):
             return
+        counts.count(block.stamps)
         is_track, oldest = side is self._track, int(block.stamps.min())
         if is_track and oldest <= side.newest:
             if self._forgotten_until > NEVER and oldest < side.stamps[0]:

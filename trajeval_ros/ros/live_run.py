@@ -223,7 +223,8 @@ class LiveRun:
         """Evaluate from now on, with a clock offset, seconds, and the marker's pose."""
         self._settings = settings = self._settings.with_offset(offset_s)
         if self.body.hand_eye is not None and not self.body.of_marker:
-            settings = settings.with_moved_groundtruth(self.body.hand_eye)
+            covariances = settings.covariances.of_moved_groundtruth(self.body.hand_eye)
+            settings = replace(settings, covariances=covariances)
         for estimate in self.estimates:
             estimate.evaluator = OnlineEvaluator(settings)
 
