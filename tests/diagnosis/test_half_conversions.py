@@ -162,3 +162,11 @@ def test_small_angles_in_another_unit_are_named(factor: float, message: str | No
     assert len(named) == (message is not None)
     assert message is None or message in named[0]
     assert factor or not any(unit in named[0] for unit in ("degrees", "radians", "times as large"))
+
+
+def test_constant_rotations_of_the_groundtruth_are_named() -> None:
+    estimate, _ = small_angles()
+    noise = np.random.default_rng(7).normal(0.0, 0.01, estimate.positions.shape)
+    constant = np.tile(Rotation.from_euler("xyz", [0.3, 0.2, 0.7]).as_quat(), (len(noise), 1))
+    truth = Trajectory.from_positions(estimate.positions + noise, constant, stamps=estimate.stamps)
+    assert "(those of the groundtruth are constant)" in evaluate(truth, estimate).warnings[0]

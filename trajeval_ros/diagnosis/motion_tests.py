@@ -116,8 +116,9 @@ class _Comparison:
         as_read = _best(model for model in models if model.cause == AS_READ)
         best, unrelated = _best(models), scores.unrelated
         oriented = self.motions.has_orientations
-        true_rotations = lengths(scores.read(HYPOTHESES[0]).truth.motions[0])
-        rotates = oriented and median(true_rotations) > _AT_REST_RAD
+        read = scores.read(HYPOTHESES[0])
+        rotated = (lengths(vectors) for vectors in (read.truth.motions[0], read.rotations))
+        rotates = oriented and max(map(median, rotated)) > _AT_REST_RAD
         if rotates and not self.is_held and self._may_be_euler(scores, best):
             models += scores.likeliest(EULER_HYPOTHESES)
             best = _best(models)
