@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from trajeval_ros.report.figures import draw
     from trajeval_ros.simulation.drifting_odometry import simulate
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 __all__ = [
     "MODALITIES",
