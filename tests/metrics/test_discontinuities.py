@@ -122,9 +122,21 @@ def test_poses_outside_at_an_end_of_the_run_are_an_outlier(
     assert event.m == pytest.approx(2.0, abs=0.1)
     assert event.poses == count
     if number == 0:
-        kept = without_groundtruth_outliers(pair[0], [event]).stamps
+        kept = without_groundtruth_outliers(pair[0], [event], pair[1].stamps).stamps
         paired = (pair[0].stamps >= event.t_ns) & (pair[0].stamps <= event.end_ns)
         assert np.isin(pair[0].stamps, kept).tolist() == (~(near & paired)).tolist()
+
+
+def test_an_outlier_with_one_sharp_edge_is_dropped_and_good_poses_are_not() -> None:
+    groundtruth, estimate = sides(815)
+    positions, rows = groundtruth.positions.copy(), slice(4000, 4010)
+    positions[rows, 1] += np.linspace(0.4, 4.0, 10)  # it grows, and ends at once
+    moved = dataclasses.replace(groundtruth, positions=positions)
+    event = Event("outlier", "groundtruth", *groundtruth.stamps[[3999, 4010]].tolist(), m=4.0)
+    kept = without_groundtruth_outliers(moved, [event], estimate.stamps)
+    assert np.isin(groundtruth.stamps, kept.stamps, invert=True).nonzero()[0].tolist() == [
+        *range(4000, 4010)
+    ]
 
 
 @pytest.mark.parametrize("side", SIDES)

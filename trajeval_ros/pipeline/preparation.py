@@ -141,7 +141,9 @@ def at_discontinuities(inputs: Inputs, rule: DiscontinuityRule, offset_s: float)
         estimate, events = without_clock_steps(estimate, events, ESTIMATE, offset_ns), None
     if rule.drop_groundtruth_outliers:
         events = events or discontinuities(groundtruth, estimate, offset_ns)
-        kept = without_groundtruth_outliers(groundtruth, events)
+        kept = without_groundtruth_outliers(
+            groundtruth, events, estimate.stamps[[0, -1]] + offset_ns
+        )
         number = len(groundtruth) - len(kept)
         text = (
             f"--drop-groundtruth-outliers: {counted(number, 'pose')} dropped in "

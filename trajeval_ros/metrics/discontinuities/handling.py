@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.exceptions import require_one_of
-from trajeval_ros.geometry.arrays import Indices
+from trajeval_ros.geometry.arrays import Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.travelled import step_angles, step_lengths
 from trajeval_ros.metrics.discontinuities.events import (
@@ -74,21 +74,32 @@ def is_groundtruth_outlier(event: Event) -> bool:
     return event.kind in EXCURSIONS and event.side == GROUNDTRUTH
 
 
-def without_groundtruth_outliers(groundtruth: Trajectory, events: Sequence[Event]) -> Trajectory:
-    """Return the groundtruth without the poses inside of its outliers and flips."""
+def without_groundtruth_outliers(
+    groundtruth: Trajectory, events: Sequence[Event], span_ns: Stamps
+) -> Trajectory:
+    """Return the groundtruth without the poses inside of its outliers and flips.
+
+    `span_ns`: timestamps of the first and the last pose of the estimate, on the groundtruth's
+    clock.
+    """
     kept = np.ones(len(groundtruth), dtype=bool)
+    first_ns, last_ns = groundtruth.stamps[[0, -1]]
+    first_ns, last_ns = max(first_ns, span_ns[0]), min(last_ns, span_ns[-1])
     for event in filter(is_groundtruth_outlier, events):
         inside = (groundtruth.stamps >= event.t_ns) & (groundtruth.stamps <= event.end_ns)
         rows = np.flatnonzero(inside)
-        kept[_between_edges(groundtruth[rows], rows, event)] = False
+        is_open = event.t_ns <= first_ns, event.end_ns >= last_ns
+        kept[_between_edges(groundtruth[rows], rows, event, is_open)] = False
     return groundtruth if kept.all() else groundtruth[kept]
 
 
-def _between_edges(poses: Trajectory, rows: Indices, event: Event) -> Indices:
+def _between_edges(
+    poses: Trajectory, rows: Indices, event: Event, is_open: tuple[bool, bool]
+) -> Indices:
     """Return the rows (M,) of N poses from the good one before an outlier to the one after it.
 
     The first and the last pose of the outlier are at steps of more than half of its size. One at
-    an end of the trajectory has one such step.
+    an end of the run, where it `is_open`, has one such step.
     """
     is_edge = np.zeros(max(len(rows) - 1, 0), dtype=bool)
     if event.m:
@@ -96,6 +107,6 @@ def _between_edges(poses: Trajectory, rows: Indices, event: Event) -> Indices:
     if event.deg and poses.quaternions is not None:
         is_edge |= np.degrees(step_angles(poses.quaternions)) > event.deg / 2.0
     edges = np.flatnonzero(is_edge)
-    if len(edges) == 1:
-        return rows[: edges[0] + 1] if rows[0] == 0 else rows[edges[0] + 1 :]
-    return rows[edges[0] + 1 : edges[-1] + 1] if len(edges) else rows[1:-1]
+    if len(edges) == 1 and any(is_open):
+        return rows[: edges[0] + 1] if is_open[0] else rows[edges[0] + 1 :]
+    return rows[edges[0] + 1 : edges[-1] + 1] if len(edges) > 1 else rows[1:-1]
