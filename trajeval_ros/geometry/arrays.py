@@ -20,6 +20,8 @@ def at_rows(item: _T, names: Iterable[str], rows: Any, **changed: Any) -> _T:
     """Return a dataclass with some rows of its columns, those that it has, and changed values."""
     columns = {name: getattr(item, name) for name in names}
     changed |= {name: column[rows] for name, column in columns.items() if column is not None}
+    if not changed:
+        return item
     replaced: _T = dataclasses.replace(item, **changed)  # type: ignore[type-var]
     return replaced
 

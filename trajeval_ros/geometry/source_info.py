@@ -102,8 +102,7 @@ class SourceInfo:
 
     def __getitem__(self, rows: slice | NDArray[np.int64] | Booleans) -> SourceInfo:
         """Return the reading with the data of a slice, a mask or an array of indices."""
-        has_rows = any(getattr(self, name) is not None for name in _ROWS)
-        return at_rows(self, _ROWS, rows) if has_rows else self
+        return at_rows(self, _ROWS, rows)
 
     def without(self, *names: str) -> SourceInfo:
         """Return the reading without some data by row; without names, without all of them."""

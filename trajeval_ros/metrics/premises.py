@@ -43,8 +43,10 @@ class Doubts:
 
     def withheld(self, kind: type) -> dict[str, str]:
         """Return the reasons by withheld metric; `kind` is a dataclass of errors."""
-        withheld = {}
-        for column in dataclasses.fields(kind) if self.reasons else ():
+        withheld: dict[str, str] = {}
+        if not self.reasons:
+            return withheld
+        for column in dataclasses.fields(kind):
             failed = [p for p in column.metadata.get("premises", ()) if p in self.reasons]
             if failed:
                 withheld[column.name] = self.reasons[failed[0]]

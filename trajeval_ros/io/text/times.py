@@ -51,8 +51,8 @@ from trajeval_ros.io.text.table import Rows, number, read_rows
 from trajeval_ros.metrics.statistics import median
 
 ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
-_SAMPLE = 200  # rows from which the unit of the times is told
-_LONGEST_STEP_S = 10.0  # usual median step of seconds from zero
+_SAMPLE = 200  # rows that show the unit of the times
+_LONGEST_USUAL_S = 10.0  # usual median step of seconds from zero
 _LARGEST_FRAME = 1e7  # of an array next to poses; larger whole numbers are times
 _FRAMES = 10**8  # limit of frame numbers, and of times that count from zero
 _TIMES = Layout("times", ("t",))  # of a file next to the poses
@@ -306,7 +306,7 @@ def _step_of_doubt(stamps: Stamps) -> float:
         return 0.0
     step = median(np.abs(np.diff(first))) / NANOSECONDS
     counts = step == 1.0 and not (first % NANOSECONDS).any()
-    is_usual = step == 0.0 or SHORTEST_STEP_S <= step <= _LONGEST_STEP_S
+    is_usual = step == 0.0 or SHORTEST_STEP_S <= step <= _LONGEST_USUAL_S
     return step if counts or not is_usual else 0.0
 
 

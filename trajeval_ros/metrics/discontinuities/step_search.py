@@ -258,7 +258,8 @@ class StepSearch:
         held = False
         if verdict.side in SIDES:
             number = SIDES.index(verdict.side)
-            begin_s = step.begin[0] if good is step.begin else -math.inf
+            # A good pair after the excursion follows first poses that are outside.
+            begin_s = good[0] if good[0] < end[0] else -math.inf
             pairs = self._source.within(number, begin_s, end[0])
             difference = self._motion.between(good, pairs)
             innovation = self._source.innovation(number, step.begin[0], step.after[0])
