@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.support.flights import DRIFTS_M, fly
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.papers.association_study import ReportedAte, compare_associations
 

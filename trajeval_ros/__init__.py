@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from trajeval_ros.io.sources import read_many, read_trajectory
     from trajeval_ros.likelihood.likelihood_assessment import assess_likelihood
     from trajeval_ros.metrics.alignment import align
-    from trajeval_ros.metrics.association import AssociationRule
+    from trajeval_ros.metrics.association_rule import AssociationRule
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.named_protocols import PROTOCOLS
     from trajeval_ros.metrics.protocol import Protocol
@@ -100,7 +100,7 @@ __all__ = [
 
 # The module of each name.
 _HOMES = {
-    "AssociationRule": "metrics.association",
+    "AssociationRule": "metrics.association_rule",
     "Calibration": "calibration.calibrate",
     "CalibrationRequest": "calibration.calibration_request",
     "Consistency": "consistency.consistency_result",

@@ -84,9 +84,10 @@ def test_both_sides_share_an_epoch_and_the_offset_is_the_estimate_s() -> None:
     pair = pair_of(method="linear", max_gap_s=0.7, time_offset_s=0.25)
     assert pair.poses["groundtruth"].seconds.tolist() == np.arange(21.0).tolist()
     assert pair.poses["estimate"].seconds.tolist() == (np.arange(1.0, 21.0) + 0.25).tolist()
-    assert (pair.max_gap_s, pair.by_time) == (0.7, True)
-    nearest = pair_of(method="nearest", max_gap_s=0.7, max_time_difference_s=0.05)
-    assert nearest.max_gap_s == 0.1
+    assert pair.by_time
+    assert pair.protocol.association.longest_step_s == 0.7
+    nearest = AssociationRule("nearest", max_gap_s=0.7, max_time_difference_s=0.05)
+    assert nearest.longest_step_s == 0.1
     assert not pair_of(method="index").by_time
     applied = dataclasses.replace(pair, offset_s=0.0)
     assert applied.poses["estimate"].seconds[0] == 1.0

@@ -26,7 +26,7 @@ from trajeval_ros.geometry.trajectory_edits import (
     flattened,
     merged,
 )
-from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.editing import Editing, edit
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol

@@ -19,7 +19,8 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.transform_tree import Edge
-from trajeval_ros.metrics.association import AssociationRule, associate
+from trajeval_ros.metrics.association import associate
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.online.pairing import Pairing
 
 # A position and a factor of a quaternion that no robot has, finite or not.

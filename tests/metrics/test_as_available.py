@@ -29,6 +29,7 @@ from trajeval_ros.metrics.as_available import (
     AvailabilityRule,
     as_available,
 )
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol
 
@@ -51,7 +52,9 @@ def received(
 
 
 def measured(groundtruth: Trajectory, estimate: Trajectory, motion: str = "hold") -> AsAvailable:
-    result = as_available(groundtruth, estimate, IDENTITY, AvailabilityRule(motion), 0.5)
+    result = as_available(
+        groundtruth, estimate, IDENTITY, AvailabilityRule(motion), AssociationRule()
+    )
     assert not result.numbers.why_withheld
     return result
 
@@ -107,7 +110,9 @@ def test_without_a_twist_the_numbers_of_its_prediction_are_withheld(lacks: str) 
     reading = SourceInfo(receive_times=dataclasses.replace(receive_times, body_rates=rates))
     moving = {"velocities": None, "motion": np.zeros_like(velocities)}.get(lacks, velocities)
     estimate = dataclasses.replace(estimate, velocities=moving, reading=reading)
-    numbers = as_available(truth, estimate, IDENTITY, AvailabilityRule("twist"), 0.5).numbers
+    numbers = as_available(
+        truth, estimate, IDENTITY, AvailabilityRule("twist"), AssociationRule()
+    ).numbers
     assert numbers.why_withheld == "the messages have no twist; use --as-available constant"
     assert numbers.position_m is None
     assert measured(truth, estimate, "constant").numbers.position_m is not None
@@ -245,7 +250,9 @@ def test_wrong_timestamps_do_not_change_the_held_error(seed: int, shift_ms: int)
     truth, estimate = rough(seed)
     wrong = dataclasses.replace(estimate, stamps=estimate.stamps - shift_ms * 10**6)
     rule = AvailabilityRule("hold")
-    one, other = (as_available(truth, item, IDENTITY, rule, 0.5) for item in (estimate, wrong))
+    one, other = (
+        as_available(truth, item, IDENTITY, rule, AssociationRule()) for item in (estimate, wrong)
+    )
     if other.samples is None:  # then messages were received before their timestamps
         assert other.numbers.clock is not None
         assert other.numbers.clock.verdict == "impossible"
@@ -336,7 +343,7 @@ def test_reference(case: dict[str, Any]) -> None:
         evaluation.estimate,
         evaluation.alignment.similarity,
         AvailabilityRule(case["motion"]),
-        0.5,
+        AssociationRule(),
     )
     numbers = numbers_of(result.numbers)
     expected = {name: case[name] for name in numbers}
@@ -359,7 +366,7 @@ def both_errors(truth: Trajectory, estimate: Trajectory) -> tuple[float, float]:
         evaluation.estimate,
         evaluation.alignment.similarity,
         AvailabilityRule("hold"),
-        0.5,
+        AssociationRule(),
     )
     ate, available = evaluation.ate["position_m"], result.numbers.position_m
     assert ate is not None

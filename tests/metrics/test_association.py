@@ -17,7 +17,8 @@ from strategies import START, make_estimate, make_groundtruth, seeds
 from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
 from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.association import AssociationRule, associate
+from trajeval_ros.metrics.association import associate
+from trajeval_ros.metrics.association_rule import AssociationRule
 
 MILLISECOND = 1_000_000
 

@@ -18,6 +18,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import associate
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.discontinuities.events import Loss
 from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
 
@@ -48,7 +49,7 @@ def diverging(trajectory: Trajectory, begin: int, mps2: float) -> Floats:
 def batches(
     stamps: Stamps, groundtruth: Floats, estimate: Floats, cuts: list[int]
 ) -> TrackingLosses:
-    tracking = TrackingLosses()
+    tracking = TrackingLosses(AssociationRule())
     for begin, end in itertools.pairwise([0, *sorted(cuts), len(stamps)]):
         tracking.add(stamps[begin:end], groundtruth[begin:end], estimate[begin:end])
     return tracking
@@ -93,7 +94,11 @@ def test_losses_do_not_depend_on_batches(
 
 def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float]:
     """Return the loss, and the times of its warning and of its error after the onset, seconds."""
-    pairs, tracking, result = PAIRS[pairs_of], TrackingLosses(), dict[bool, float]()
+    pairs, tracking, result = (
+        PAIRS[pairs_of],
+        TrackingLosses(AssociationRule()),
+        dict[bool, float](),
+    )
     stamps, truth = pairs.estimate.stamps, rows(pairs.groundtruth)
     assert tracking.is_clear
     clear = 0
@@ -191,7 +196,7 @@ def test_long_steps_are_no_frozen_time(cut: int, more_ns: int) -> None:
     )
     estimate = truth.copy()
     estimate[300:500] = truth[300]
-    tracking = TrackingLosses(diverging=False, max_gap_s=0.5)
+    tracking = TrackingLosses(AssociationRule(), diverging=False)
     for part in (slice(0, cut), slice(cut, None)):
         tracking.add(stamps[part], truth[part], estimate[part])
     (loss,) = tracking.events

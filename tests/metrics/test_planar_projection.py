@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from strategies import make_estimate, make_groundtruth
 
-from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.evaluation import evaluate, on_plane
 from trajeval_ros.metrics.protocol import Protocol
 

@@ -12,6 +12,7 @@ from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.as_available import AvailabilityRule, as_available
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import LiveAvailability
 
@@ -36,14 +37,14 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: i
     truth, estimate = rough(3)
     estimate = often_corrected(estimate, corrections) if corrections > 1 else estimate
     rule = AvailabilityRule(motion)
-    expected = as_available(truth, estimate, IDENTITY, rule, 0.5)
+    expected = as_available(truth, estimate, IDENTITY, rule, AssociationRule())
     assert expected.samples is not None
     assert expected.samples.messages.late > 0.05 * len(estimate)
     receive_times = estimate.reading.receive_times
     assert receive_times is not None
     assert truth.quaternions is not None
     assert estimate.quaternions is not None
-    live, result = LiveAvailability(rule, 0.5, 10.0), []
+    live, result = LiveAvailability(rule, AssociationRule(), 10.0), []
     # Everything in the order of its receive time; groundtruth arrives 3 ms after its timestamp.
     events = [(int(at) + 3_000_000, 0, row) for row, at in enumerate(truth.stamps)]
     events += [(int(at), 1, row) for row, at in enumerate(receive_times.times)]
@@ -79,7 +80,7 @@ def test_nothing_is_reported_from_impossible_clocks_or_unknown_receive_times() -
         (estimate.stamps - 50_000_000, "impossible"),
         (np.full(len(estimate), UNKNOWN), None),
     ):
-        live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+        live = LiveAvailability(AvailabilityRule("hold"), AssociationRule(), 10.0)
         live.add_groundtruth(truth)
         live.add_estimate(replace(estimate, reading=SourceInfo(receive_times=ReceiveTimes(times))))
         assert live.update(IDENTITY) is None
@@ -98,7 +99,7 @@ def states_on(stamps: np.ndarray, receive_times: ReceiveTimes | None = None) -> 
 
 def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> LiveAvailability:
     """Feed groundtruth at 200 Hz and messages that are received 30 ms after their timestamps."""
-    live = LiveAvailability(AvailabilityRule("hold", deadline_s), 0.5, 10.0)
+    live = LiveAvailability(AvailabilityRule("hold", deadline_s), AssociationRule(), 10.0)
     messages = np.arange(0, until_ms, every_ms) * 1_000_000
     truth = np.arange(0, until_ms, 5) * 1_000_000
     for begin in range(0, until_ms, step_ms):
@@ -115,7 +116,7 @@ def test_a_twist_of_zero_is_used_once_there_was_another_one() -> None:
     """A robot at rest has one; a driver that measures none has no other."""
     stamps = np.arange(0, 8000, 5) * 1_000_000
     for moves, rate in ((False, 0.0), (True, 0.0), (True, np.nan)):
-        live = LiveAvailability(AvailabilityRule("twist"), 0.5, 10.0)
+        live = LiveAvailability(AvailabilityRule("twist"), AssociationRule(), 10.0)
         for begin in range(0, len(stamps), 200):
             part = slice(begin, begin + 200)
             times = stamps[part] + 30_000_000
@@ -156,7 +157,7 @@ def test_a_deadline_is_missed_once_per_span_above_it(deadline_s: float, *, misse
 
 
 def test_samples_are_evaluated_twice_a_second() -> None:
-    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    live = LiveAvailability(AvailabilityRule("hold"), AssociationRule(), 10.0)
     stamps = np.arange(0, 2000, 5) * 1_000_000
     live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 10_000_000)))
     evaluated = []
@@ -172,7 +173,7 @@ def test_samples_are_evaluated_twice_a_second() -> None:
 
 
 def test_messages_without_a_reception_are_not_used() -> None:
-    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    live = LiveAvailability(AvailabilityRule("hold"), AssociationRule(), 10.0)
     stamps = np.arange(3) * 10**9
     times = np.array([5, UNKNOWN, 2 * 10**9 + 5])
     live.add_estimate(states_on(stamps, ReceiveTimes(times)))
@@ -183,7 +184,7 @@ def test_messages_without_a_reception_are_not_used() -> None:
 def test_an_offset_moves_the_timestamps_and_not_the_receive_times() -> None:
     result = []
     for offset_ns in (0, 20_000_000):
-        live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+        live = LiveAvailability(AvailabilityRule("hold"), AssociationRule(), 10.0)
         stamps = np.arange(0, 2000, 5) * 1_000_000
         live.add_groundtruth(states_on(stamps))
         live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 50_000_000)))
@@ -197,7 +198,7 @@ def test_an_offset_moves_the_timestamps_and_not_the_receive_times() -> None:
 
 @pytest.mark.parametrize("has_messages", [False, True])
 def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> None:
-    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    live = LiveAvailability(AvailabilityRule("hold"), AssociationRule(), 10.0)
     for second in range(60):
         stamps = (second * 100 + np.arange(100)) * 10_000_000
         live.add_groundtruth(states_on(stamps))
@@ -217,7 +218,7 @@ def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> 
 
 
 def test_there_is_no_error_before_the_first_message() -> None:
-    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    live = LiveAvailability(AvailabilityRule("hold"), AssociationRule(), 10.0)
     truth, stamps = np.arange(0, 3000, 5) * 1_000_000, np.arange(1000, 3000, 50) * 1_000_000
     live.add_groundtruth(states_on(truth))
     live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 30_000_000)))

@@ -16,6 +16,7 @@ from strategies import make_groundtruth, seeds
 from trajeval_ros import Gauge, Protocol
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_frames import LiveFrames
 from trajeval_ros.online.live_settings import OnlineSettings
@@ -52,7 +53,7 @@ def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size
     for begin in batches:
         if begin // size == cut:
             border, at_groundtruth = pairing.unused_from, pairing.at_groundtruth
-            pairing = Pairing(at_groundtruth=at_groundtruth)
+            pairing = Pairing(pairing.rule)
             for row, (add, (stamps, rows)) in enumerate(zip(adds_of(pairing), sides, strict=True)):
                 known, first = stamps[:begin], border
                 if row == at_groundtruth:  # interpolated: the state before the border, too
@@ -94,8 +95,9 @@ def test_a_run_that_follows_begins_at_the_first_state_that_was_not_used(
         (groundtruth.stamps[delay : delay + count], rows_of(groundtruth)[delay : delay + count]),
         (estimate.stamps[:count], rows_of(estimate)[:count]),
     ]
-    whole, _ = all_pairs(Pairing(at_groundtruth=at_groundtruth), sides, -1, size)
-    parts, made = all_pairs(Pairing(at_groundtruth=at_groundtruth), sides, cut, size)
+    rule = AssociationRule("groundtruth-stamps" if at_groundtruth else "linear")
+    whole, _ = all_pairs(Pairing(rule), sides, -1, size)
+    parts, made = all_pairs(Pairing(rule), sides, cut, size)
     np.testing.assert_array_equal(parts.stamps, whole.stamps)
     assert made == len(whole)
     for name in ("groundtruth", "estimate"):

@@ -12,7 +12,7 @@ from state_rows import states, trajectory
 
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings

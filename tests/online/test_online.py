@@ -17,6 +17,7 @@ from strategies import gauges, make_groundtruth, seeds
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.sub_trajectories import Length, Selection
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -313,7 +314,7 @@ def test_a_late_groundtruth_state_adds_no_path() -> None:
 
 
 def test_a_groundtruth_state_that_comes_after_its_use_is_counted_and_kept() -> None:
-    buffer = Pairing(max_gap_s=5.0)
+    buffer = Pairing(AssociationRule(max_gap_s=5.0))
     for groundtruth_s in ([0.0, 1.0, 3.0, 4.0], [2.0], [2.5], [3.5]):
         stamps = (SECOND * np.array(groundtruth_s)).astype(np.int64)
         buffer.add_groundtruth(trajectory(stamps, states(np.zeros((len(stamps), 3)))))

@@ -19,6 +19,7 @@ from strategies import make_element, make_groundtruth, seeds
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.coverage import time_without_gaps
 from trajeval_ros.online import live_alignment
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -29,7 +30,7 @@ from trajeval_ros.online.state_buffer import BufferLimits
 
 Array = NDArray[Any]
 SECOND = 10**9
-MAX_GAP_NS = SECOND // 2
+RULE = AssociationRule()
 
 
 def uneven(seed: int, count: int) -> Array:
@@ -54,7 +55,7 @@ def test_what_is_forgotten_stays_in_the_sums(seed: int, past_s: float, size: int
         pairing.forget()
         end = min(begin + size, 120)
         assert pairing.groundtruth_count == end
-        assert pairing.groundtruth_time == time_without_gaps(stamps[:end], MAX_GAP_NS)
+        assert pairing.groundtruth_time == time_without_gaps(stamps[:end], RULE)
         steps = np.linalg.norm(np.diff(truth[:end, :3], axis=0), axis=1)
         assert pairing.groundtruth_path_m == pytest.approx(steps.sum(), rel=1e-12)
         assert pairing.estimate_count == end
@@ -74,7 +75,11 @@ def test_points_have_a_path_and_a_time_of_their_own(seed: int, size: int) -> Non
     rng = np.random.default_rng(seed)
     stamps = uneven(seed, 60)
     points, estimate = states(rng.normal(size=(60, 3))), states(rng.normal(size=(60, 3)))
-    pairing, missing, count = Pairing(limits=BufferLimits(2.0), at_groundtruth=True), 0, 0
+    pairing, missing, count = (
+        Pairing(AssociationRule("groundtruth-stamps"), BufferLimits(2.0)),
+        0,
+        0,
+    )
     for begin in range(0, 60, size):
         rows = slice(begin, begin + size)
         pairing.add_groundtruth(trajectory(stamps[rows], points[rows]))
@@ -207,7 +212,7 @@ def test_states_that_come_late_are_put_where_they_belong(seed: int, past: int) -
     order = rng.permutation(60)
     stamps = np.arange(60) * SECOND
     rows = states(stamps[:, None].astype(float) * np.ones(3))
-    pairing = Pairing(1.0, BufferLimits(float(past)))
+    pairing = Pairing(AssociationRule(max_gap_s=1.0), BufferLimits(float(past)))
     first = np.sort(order[:30])
     pairing.add_groundtruth(trajectory(stamps[first], rows[first]))
     pairing.forget()

@@ -13,7 +13,7 @@ from state_rows import states, trajectory
 from trajeval_ros import OnlineEvaluator, OnlineSettings, Protocol, evaluate, simulate
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
 
 FLIGHT = simulate(seed=5, duration_s=30.0)

@@ -9,7 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.report.line_thinning import MOST_POINTS, simplified, thinned
+
+is_gap = AssociationRule().is_gap
 
 
 @given(
@@ -22,7 +25,7 @@ def test_a_simplified_path_stays_within_its_tolerance(
 ) -> None:
     steps = np.where(np.isin(np.arange(len(path)), list(gaps)), 10**10, 10**8)
     stamps = np.cumsum(steps)
-    left = simplified(path, stamps, 0.5, tolerance_m)
+    left = simplified(path, stamps, is_gap, tolerance_m)
     pieces = np.split(path, np.flatnonzero(np.diff(stamps) > 10**9) + 1)
     ends = np.flatnonzero(np.isnan(left[:, 0]))
     result = [piece[np.isfinite(piece[:, 0])] for piece in np.split(left, ends)]
@@ -36,8 +39,8 @@ def test_a_simplified_path_stays_within_its_tolerance(
 def test_only_lines_of_more_rows_than_allowed_are_thinned() -> None:
     line = np.random.default_rng(2).normal(size=(101, 2))
     stamps = 10**8 * np.arange(len(line))
-    np.testing.assert_array_equal(thinned(line[:100], stamps[:100], 0.5, most=100), line[:100])
-    rows = thinned(line, stamps, 0.5, most=100)
+    np.testing.assert_array_equal(thinned(line[:100], stamps[:100], is_gap, most=100), line[:100])
+    rows = thinned(line, stamps, is_gap, most=100)
     assert len(rows) <= 100
     np.testing.assert_array_equal(rows[[0, -1]], line[[0, -1]])
     assert {*line.argmin(axis=0), *line.argmax(axis=0)} <= {
@@ -47,7 +50,7 @@ def test_only_lines_of_more_rows_than_allowed_are_thinned() -> None:
 
 def test_a_thinned_line_has_nearly_as_many_rows_as_allowed() -> None:
     line = np.random.default_rng(3).normal(size=(10_000, 2))
-    rows = thinned(line, 10**8 * np.arange(len(line)), 0.5, most=1000)
+    rows = thinned(line, 10**8 * np.arange(len(line)), is_gap, most=1000)
     assert 900 < len(rows) <= 1002
 
 
@@ -56,11 +59,11 @@ def test_a_simplified_path_has_few_rows() -> None:
     rotations = np.linspace(0.0, 2.0 * np.pi, 20_000)
     circle = np.stack([np.cos(rotations), np.sin(rotations), rotations], axis=1)
     # A chord of a circle is at most 1 - cos(a / 2) away from it.
-    rows = simplified(circle, 10**7 * np.arange(len(circle)), 0.5, 1e-4)
+    rows = simplified(circle, 10**7 * np.arange(len(circle)), is_gap, 1e-4)
     assert 2.0 * np.pi / np.arccos(1.0 - 1e-4) / 2.0 <= len(rows) <= 4.0 * np.pi / 0.0141
     # Small, since a tolerance of zero becomes the least one and is doubled from there.
     noise = 1e-12 * np.random.default_rng(1).normal(size=(25_000, 3))
-    assert len(simplified(noise, 10**7 * np.arange(25_000), 0.5, 0.0)) <= MOST_POINTS
+    assert len(simplified(noise, 10**7 * np.arange(25_000), is_gap, 0.0)) <= MOST_POINTS
 
 
 def distances_to_line(points: Floats, line: Floats) -> Floats:

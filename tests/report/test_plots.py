@@ -12,6 +12,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting import palette
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.sub_trajectories import Length
@@ -22,6 +23,8 @@ from trajeval_ros.report.figure_style import FigureStyle, apply_style
 from trajeval_ros.report.figures import draw, evaluation_drawings
 from trajeval_ros.report.line_thinning import MOST_POINTS, thinned
 from trajeval_ros.simulation.drifting_odometry import simulate
+
+is_gap = AssociationRule().is_gap
 
 pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
 
@@ -231,7 +234,7 @@ def test_thinning_keeps_peaks_and_ends_and_breaks_at_gaps() -> None:
     stamps[600_000:] += 3_000_000_000
     columns = np.stack([np.arange(count, dtype=float), np.zeros(count)], axis=1)
     columns[123_457, 1] = 7.0
-    thin = thinned(columns, stamps, 0.5)
+    thin = thinned(columns, stamps, is_gap)
     assert len(thin) <= MOST_POINTS + 10
     assert np.nanmax(thin[:, 1]) == 7.0
     assert (thin[0, 0], thin[-1, 0]) == (0.0, count - 1.0)
@@ -243,7 +246,7 @@ def test_thinning_keeps_peaks_and_ends_and_breaks_at_gaps() -> None:
 def test_keyframes_far_apart_are_no_gaps() -> None:
     stamps = 2_000_000_000 * np.arange(10)
     columns = np.zeros((10, 2))
-    np.testing.assert_array_equal(thinned(columns, stamps, 0.5), columns)
+    np.testing.assert_array_equal(thinned(columns, stamps, is_gap), columns)
 
 
 def test_long_and_missing_names() -> None:

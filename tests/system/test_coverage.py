@@ -19,6 +19,7 @@ from trajeval_ros import OnlineEvaluator, Protocol, Trajectory, evaluate, simula
 from trajeval_ros import run as evaluate_all
 from trajeval_ros.formatting.numbers import whole_percent
 from trajeval_ros.io.results.result_json import result_of
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, PairSteps
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.window import Window
@@ -114,7 +115,7 @@ def coverage_of_steps(
     steps = np.column_stack(np.broadcast_arrays(times_s, reach_m, turn_deg))
     steps = steps if last is None else np.vstack([steps, last])
     times_ns = np.round(steps[:, 0] * 1e9).astype(np.int64)
-    sums = CoverageSums(0.5)
+    sums = CoverageSums(AssociationRule())
     sums.add(PairSteps(times_ns, steps[:, 1], np.radians(steps[:, 2])))
     return sums.coverage(int(times_ns.sum()), 1000, 0)
 

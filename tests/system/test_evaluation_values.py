@@ -16,7 +16,7 @@ from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import align
-from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.report.verdict_lines import definitions

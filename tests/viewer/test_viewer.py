@@ -20,6 +20,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.receive_times import ReceiveTimes
 from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_available
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.discontinuities.events import ESTIMATE, FROZEN, Loss
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -70,7 +71,7 @@ def available_errors(evaluation: Evaluation) -> AsAvailable:
         dataclasses.replace(estimate, reading=reading),
         evaluation.alignment.similarity,
         AvailabilityRule("hold"),
-        0.5,
+        AssociationRule(),
     )
 
 

@@ -23,7 +23,7 @@ from trajeval_ros.batch.finished_comparison import (
     pooled_rows,
     rows_of_run,
 )
-from trajeval_ros.batch.plan import PlannedRun, natural
+from trajeval_ros.batch.plan import PlannedRun, association_of, natural
 from trajeval_ros.batch.records import RECORDS, Record, RecordStore, encode
 from trajeval_ros.batch.results_table import require_types
 from trajeval_ros.batch.worker import columns_to_draw
@@ -249,7 +249,7 @@ def _record(result: _Result, key: str) -> Record:
         arrays.get("rotation_deg"),
         up.to_z_up(aligned),
         (stamps, up.to_z_up(groundtruth)),
-        result.settings["max_gap"],
+        association_of(result.settings),
     )
     pooled = {name: arrays[name] for name in of_length if name in arrays}
     span_ns = (int(stamps[0]), int(stamps[-1]))

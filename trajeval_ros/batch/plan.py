@@ -11,6 +11,7 @@ from trajeval_ros.formatting.numbers import natural_key
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.io.requests.settings_table import settings_of
 from trajeval_ros.io.text.hints import NO_SIDES, SideHints
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.pipeline.request import Request
 
 Name = tuple[str, str, str]
@@ -57,6 +58,16 @@ class Plan:
     def settings(self) -> dict[str, Any]:
         """All settings that the numbers depend on, by name."""
         return {**settings_of(self.request), "common_time_span": self.common_time_span}
+
+
+def association_of(settings: Mapping[str, Any]) -> AssociationRule:
+    """Return the rule of the association in the settings of a plan or of a result."""
+    return AssociationRule(
+        settings["association"],
+        settings["max_time_difference"],
+        settings["max_gap"],
+        model=settings["continuous_model"],
+    )
 
 
 def all_runs(

@@ -11,10 +11,10 @@ from statistics import median
 from typing import Any
 
 from trajeval_ros.batch.comparison_summary import KITTI, ComparisonSummary, Trial
+from trajeval_ros.batch.plan import association_of
 from trajeval_ros.batch.results_table import MISSING, OK, RE
 from trajeval_ros.formatting.numbers import counted, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.coverage import LOW_COVERAGE
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report.definitions import (
@@ -47,12 +47,7 @@ def definition(settings: dict[str, Any]) -> str:
     states = settings["align_states"]
     how = {"all": "all states", 1: "the first state"}.get(states, f"the first {states} states")
     how += " and their orientations" if settings["align_with"] == "poses" else ""
-    rule = AssociationRule(
-        settings["association"],
-        settings["max_time_difference"],
-        settings["max_gap"],
-        model=settings["continuous_model"],
-    )
+    rule = association_of(settings)
     return (
         f"Protocol {settings['protocol']}, aligned by "
         f"{Gauge(settings['gauge']).description}, gauge {settings['gauge']}{modality}, {how}; "

@@ -20,6 +20,7 @@ from trajeval_ros.io.bags.byte_source import counting_fetched_bytes
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.hints import TextHints
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.pipeline.pipeline import run as run_pipeline
 from trajeval_ros.pipeline.request import Request
@@ -119,7 +120,7 @@ def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Floa
         evaluation.absolute.rotation_deg,
         groundtruth.up.to_z_up(evaluation.aligned.positions),
         (groundtruth.stamps, groundtruth.up.to_z_up(groundtruth.positions)),
-        evaluation.protocol.association.max_gap_s,
+        evaluation.protocol.association,
     )
 
 
@@ -129,7 +130,7 @@ def columns_to_draw(
     rotation_deg: Floats | None,
     path: Floats,
     groundtruth: tuple[Stamps, Floats],
-    max_gap_s: float,
+    rule: AssociationRule,
 ) -> dict[str, Floats]:
     """Return the columns of a record that figures draw, without invisible details.
 
@@ -139,7 +140,7 @@ def columns_to_draw(
         rotation_deg: Rotation errors (N,), degrees; None where withheld.
         path: Aligned positions (N, 3), metres, height last.
         groundtruth: Timestamps (M,) and positions (M, 3) of the groundtruth, height last.
-        max_gap_s: Longest step that is no gap, seconds.
+        rule: The association's, whose gaps interrupt lines.
     """
     if rotation_deg is None:
         rotation_deg = np.full(len(position_m), np.nan)
@@ -148,7 +149,7 @@ def columns_to_draw(
     tolerance_m = _RESOLUTION * float(extents(whole[:, :2]).max())
     errors = np.stack([seconds, position_m, rotation_deg], axis=1)
     return {
-        "errors": thinned(errors, stamps, max_gap_s, _POINTS),
-        "path": simplified(path, stamps, max_gap_s, tolerance_m),
-        "groundtruth": simplified(whole, times, max_gap_s, tolerance_m),
+        "errors": thinned(errors, stamps, rule.is_gap, _POINTS),
+        "path": simplified(path, stamps, rule.is_gap, tolerance_m),
+        "groundtruth": simplified(whole, times, rule.is_gap, tolerance_m),
     }

@@ -262,7 +262,7 @@ def increments(inputs: InputPair) -> TestResult:
         return TestResult(test, why_not="no timestamps")
     if estimate.extent > _SMALL * groundtruth.extent:
         return TestResult(test)
-    at = groundtruth.at(estimate.seconds, inputs.max_gap_s)
+    at = groundtruth.at(estimate.seconds, inputs.protocol.association.longest_step_s)
     both = at.known[1:] & at.known[:-1]
     rows = [lengths(np.diff(at.positions, axis=0))[both], lengths(estimate.positions[1:])[both]]
     # Noise is large in comparison with short steps, so some are added.

@@ -15,7 +15,6 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.interpolation import mix, slerp, steps_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import every_nth
-from trajeval_ros.metrics.association import INTERPOLATING
 from trajeval_ros.metrics.discontinuities.events import FREEZES, FROZEN, Event, Loss
 from trajeval_ros.metrics.statistics import median
 
@@ -95,12 +94,12 @@ class TimedPoses:
         """Standard deviation of the positions about their mean, units of the source."""
         return math.hypot(*map(np.std, self.positions.T)) if len(self) else 0.0
 
-    def at(self, seconds: Floats, max_gap_s: float = np.inf) -> Between:
+    def at(self, seconds: Floats, longest_step_s: float = np.inf) -> Between:
         """Return the poses at times (N,), of a track in order with at least two poses."""
         start, fraction = steps_at(self.seconds, seconds)
         end = start + 1
         gap = self.seconds[end] - self.seconds[start]
-        known = (fraction > -1e-9) & (fraction < 1.0 + 1e-9) & (gap <= max_gap_s)
+        known = (fraction > -1e-9) & (fraction < 1.0 + 1e-9) & (gap <= longest_step_s)
         fraction = np.clip(fraction, 0.0, 1.0)
         quaternions = None
         if self.quaternions is not None:
@@ -145,13 +144,6 @@ class InputPair:
     def gauge(self) -> Gauge:
         """The gauge of the alignment."""
         return self.protocol.gauge
-
-    @property
-    def max_gap_s(self) -> float:
-        """Longest step of the groundtruth to interpolate across."""
-        rule = self.protocol.association
-        interpolates = rule.method in INTERPOLATING
-        return rule.max_gap_s if interpolates else 2.0 * rule.max_time_difference_s
 
     @property
     def by_time(self) -> bool:

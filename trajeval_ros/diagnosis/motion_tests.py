@@ -70,12 +70,13 @@ def tests_of_motion(inputs: InputPair, *, is_copied: bool) -> list[TestResult]:
     if min(groundtruth.span_s, estimate.span_s) < SHORTEST_S or len(estimate) < FEWEST:
         return [TestResult("motions", why_not=f"a side is shorter than {SHORTEST_S:g} s")]
     examined: list[TestResult] = []
-    gap_s = max(inputs.max_gap_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
+    longest_step_s = inputs.protocol.association.longest_step_s
+    gap_s = max(longest_step_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
     clock, has_defects, is_held = Clock(), False, False
     if inputs.by_time:
         gap_s = min(gap_s, _MOST_GAP_S)
         is_odometry = inputs.estimate.reading.format.endswith("/Odometry")
-        defects = groundtruth_defects(groundtruth, estimate, inputs.max_gap_s)
+        defects = groundtruth_defects(groundtruth, estimate, longest_step_s)
         examined = [defects, rhythm(groundtruth, estimate, is_odometry=is_odometry)]
         has_defects = bool(defects.seen)
         is_held = any(seen.cause == "groundtruth_held" for seen in defects.seen)
@@ -100,7 +101,7 @@ class _Comparison:
     estimate: TimedPoses  # with the factor of the clock
     motions: ShortMotions
     clock: Clock
-    max_gap_s: float
+    gap_s: float
     has_defects: bool  # of the groundtruth, which shift the motions by a part of a second
     is_held: bool  # the groundtruth's poses are repeated, so that no rotation fits exactly
 
@@ -196,7 +197,7 @@ class _Comparison:
         if abs(offset_s) + abs(rate) * self.estimate.span_s / 2.0 < _REFINED_S:
             return parameters, scores
         sides, offset_s = (self.groundtruth, self.estimate), self.clock.offset_s + offset_s
-        again = ShortMotions.between(*sides, self.max_gap_s, offset_s, rate)
+        again = ShortMotions.between(*sides, self.gap_s, offset_s, rate)
         if len(again) < FEWEST:
             return parameters, scores
         refined = fit_parameters(scores := ModelScores(again), model)

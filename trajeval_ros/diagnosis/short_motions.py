@@ -77,14 +77,14 @@ class ShortMotions:
         cls,
         groundtruth: TimedPoses,
         estimate: TimedPoses,
-        max_gap_s: float,
+        longest_step_s: float,
         offset_s: float = 0.0,
         rate: float = 0.0,
     ) -> ShortMotions:
         """Return evenly sampled motions, of poses in order.
 
         The groundtruth is interpolated at t + offset + rate (t - middle of the run), across at
-        most `max_gap_s`.
+        most `longest_step_s`.
         """
         times = estimate.seconds
         duration_s = max(MOTION_S, 2.0 * estimate.usual_step_s)
@@ -98,7 +98,7 @@ class ShortMotions:
         fits = times[end] - times[start] < 2.0 * duration_s + 0.2
         rows = np.stack([start[fits], end[fits]])
         at = np.stack([mapped[rows] + late_s for late_s in (0.0, DERIVATIVE_S, -DERIVATIVE_S)])
-        poses = groundtruth.at(at.ravel(), max_gap_s)
+        poses = groundtruth.at(at.ravel(), longest_step_s)
         known = poses.known.reshape(at.shape)[0].all(axis=0)
         rows, columns, quaternions = rows[:, known], [poses.positions], None
         if poses.quaternions is not None and estimate.quaternions is not None:

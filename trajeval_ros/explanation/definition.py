@@ -10,7 +10,7 @@ import dataclasses
 from typing import Final, NamedTuple
 
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AssociationRule
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, AssociationRule
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import Protocol
 

@@ -11,6 +11,7 @@ from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, runs_of
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.availability import (
     HORIZON_S,
     MOTIONS,
@@ -134,8 +135,7 @@ def as_available(
     estimate: Trajectory,
     similarity: Similarity,
     rule: AvailabilityRule,
-    max_gap_s: float,
-    offset_ns: int = 0,
+    association: AssociationRule,
 ) -> AsAvailable:
     """Return the as-available accuracy of an estimate.
 
@@ -144,15 +144,17 @@ def as_available(
         estimate: Poses in the estimate's frame, with receive_times, in any order.
         similarity: The alignment of the evaluation, from all pairs at their timestamps.
         rule: What to compute.
-        max_gap_s: Longest gap of the groundtruth to interpolate across, seconds.
-        offset_ns: Offset of the estimate's timestamps, nanoseconds; not of the receive_times.
+        association: Its gaps of the groundtruth are not interpolated, and its offset is that of
+            the estimate's timestamps, not of the receive times.
     """
+    offset_ns = round(association.time_offset_s * NANOSECONDS)
     known, messages = usable_messages(estimate, similarity, rule, offset_ns)
     if messages is None:
         return AsAvailable(known)
     stamps = instants(int(groundtruth.stamps[0]), int(groundtruth.stamps[-1]))
     have = in_use(messages, stamps) >= 0
-    samples, before = sampled(groundtruth, messages, stamps[have], max_gap_s), int((~have).sum())
+    samples = sampled(groundtruth, messages, stamps[have], association)
+    before = int((~have).sum())
     if not len(samples.stamps):
         reason = "no instant has both a received pose and groundtruth; check the clocks"
         return AsAvailable(replace(known, why_withheld=reason))

@@ -11,89 +11,30 @@ which are sparse. `continuous` evaluates a model of the groundtruth's motion, al
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
-from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
+from trajeval_ros.exceptions import NoMatchError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Indices
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.valid_poses import add_counts
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, AssociationRule
 from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter, completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
 from trajeval_ros.metrics.discontinuities.lost_tracking import frozen_in
-from trajeval_ros.metrics.nearest_association import nearest_pairs
-from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
-from trajeval_ros.metrics.other_programs import match_frames
+from trajeval_ros.metrics.no_match import explain_no_match
+from trajeval_ros.metrics.other_programs import match_as_evo, match_frames
 
 if TYPE_CHECKING:
     from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
     from trajeval_ros.metrics.discontinuities.events import Loss
 
-_LONGEST_S = 1e9  # limit of time differences and gaps; int64 nanoseconds hold more
-AUTO, AT_GROUNDTRUTH = "auto", "groundtruth-stamps"
-# Methods that interpolate one side at the timestamps of the other.
-INTERPOLATING = (AUTO, "linear", AT_GROUNDTRUTH, "continuous")
-METHODS = (AUTO, "linear", AT_GROUNDTRUTH, "continuous", "nearest", "rpg", "evo", "index")
-
-
-@dataclass(frozen=True)
-class AssociationRule:
-    """The settings of an association.
-
-    Attributes:
-        method: One of `METHODS`.
-        max_time_difference_s: Largest time difference in a pair, for `nearest`, `rpg` and `evo`.
-        max_gap_s: Longest step between two states that is interpolated: of the groundtruth, or of
-            the estimate for `groundtruth-stamps`.
-        time_offset_s: Added to the estimate's timestamps before pairing, seconds.
-        model: Motion model of the groundtruth, for `continuous`.
-        noise: Noise of the groundtruth's samples, for `continuous`.
-
-    Raises:
-        SettingsError: An unknown method or model, or a number out of range.
-
-    Example:
-        >>> from trajeval_ros import AssociationRule, Protocol
-        >>> rule = AssociationRule("nearest", max_time_difference_s=0.01)
-        >>> Protocol(association=rule).association.method
-        'nearest'
-    """
-
-    method: str = AUTO
-    max_time_difference_s: float = 0.02
-    max_gap_s: float = 0.5
-    time_offset_s: float = 0.0
-    model: str = DEFAULT_MODEL
-    noise: Noise = field(default_factory=Noise)
-
-    def __post_init__(self) -> None:
-        require_one_of(self.method, METHODS, "association")
-        for name in ("max_time_difference_s", "max_gap_s"):
-            if not 0.0 < getattr(self, name) <= _LONGEST_S:
-                raise SettingsError(
-                    f"{name.removesuffix('_s')} must be greater than 0 and at most "
-                    f"{_LONGEST_S:.0f} s, not {getattr(self, name):g}"
-                )
-        require_one_of(self.model, MODELS, "continuous model")
-        if not abs(self.time_offset_s) <= LATEST_CLOCK_S:
-            raise SettingsError(
-                f"the time offset must be within {LATEST_CLOCK_S:g} s, not {self.time_offset_s}"
-            )
-
-    def for_kind(self, kind: str) -> AssociationRule:
-        """Return the rule for a kind of groundtruth (`Trajectory.kind`), with `auto` resolved.
-
-        Rates are not used for the choice, because a live run does not have them at its start.
-        """
-        if self.method != AUTO:
-            return self
-        return dataclasses.replace(self, method="linear" if kind == "poses" else AT_GROUNDTRUTH)
+_ROUNDS = 8  # of closest pairs of `nearest`, before pairs go one by one
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,14 +124,12 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         continuous = fit_trajectory(groundtruth.in_order(), rule.model, rule.noise)
         paired, rows, dropped = _modelled(groundtruth, shifted, continuous)
     else:
-        groundtruth_rows, rows = nearest_pairs(
-            groundtruth, shifted, rule.method, rule.max_time_difference_s
-        )
+        groundtruth_rows, rows = _nearest_pairs(groundtruth, shifted, rule)
         paired = groundtruth[groundtruth_rows]
         unmatched = len(estimate) - _distinct(rows, len(estimate))
         dropped = {"no_groundtruth_within_max_time_difference": unmatched}
     if len(rows) == 0:
-        raise NoMatchError(_why_no_match(groundtruth, shifted, rule, dropped))
+        raise NoMatchError(explain_no_match(groundtruth, shifted, dropped, rule))
     share: float | None = _distinct(rows, len(estimate)) / len(estimate)
     completed = None
     if groundtruth.kind == "points" and groundtruth_rows is not None and not by_row:
@@ -201,7 +140,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     # Without timestamps in the estimate, a pair has the groundtruth's.
     stamps = paired.stamps if by_row and groundtruth.reading.stamped else pairs.stamps
     paired = dataclasses.replace(paired, stamps=stamps)
-    frozen, frozen_ns = ((), 0) if by_row else frozen_in(paired, pairs, max_gap_s=rule.max_gap_s)
+    frozen, frozen_ns = ((), 0) if by_row else frozen_in(paired, pairs, rule)
     # Coverage counts a groundtruth state once, also if several pairs share it.
     once = (
         paired
@@ -213,14 +152,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         groundtruth=paired,
         estimate=dataclasses.replace(pairs, stamps=stamps),
         estimate_coverage=share,
-        coverage=completed
-        or coverage_of(
-            groundtruth,
-            once,
-            rule.max_gap_s,
-            in_gaps=rule.method == "continuous",
-            frozen_ns=frozen_ns,
-        ),
+        coverage=completed or coverage_of(groundtruth, once, rule, frozen_ns),
         dropped=add_counts(estimate.reading.dropped, dropped),
         continuous=continuous,
         groundtruth_rows=groundtruth_rows,
@@ -257,7 +189,7 @@ def _interpolated(
     groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
 ) -> tuple[Trajectory, Indices, dict[str, int]]:
     """Interpolate the groundtruth at the estimate's timestamps."""
-    paired, bracket = groundtruth.at(estimate.stamps, rule.max_gap_s)
+    paired, bracket = rule.interpolated(groundtruth, estimate.stamps)
     return paired, np.flatnonzero(bracket.usable), bracket.dropped("groundtruth")
 
 
@@ -269,14 +201,14 @@ def _at_groundtruth(
     Coverage is completeness: the share of the groundtruth's states that are in a pair.
     """
     groundtruth, states = groundtruth.in_order(), shifted.in_order()
-    between, bracket = states.at(groundtruth.stamps, rule.max_gap_s)
+    between, bracket = rule.interpolated(states, groundtruth.stamps)
     rows = np.flatnonzero(bracket.usable)
     dropped = bracket.dropped("estimate")
     if not len(rows):
-        raise NoMatchError(_why_no_match(groundtruth, states, rule, dropped))
+        raise NoMatchError(explain_no_match(groundtruth, states, dropped, rule))
     meter = InterpolationMeter()
     meter.add(states.stamps, states.positions)
-    frozen, _ = frozen_in(groundtruth[rows], between, of_fixes=True)
+    frozen, _ = frozen_in(groundtruth[rows], between, rule)
     return Association(
         rule=rule,
         groundtruth=groundtruth[rows],
@@ -290,16 +222,95 @@ def _at_groundtruth(
     )
 
 
-def _why_no_match(
-    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
-) -> str:
-    return explain_no_match(
-        groundtruth, estimate, dropped, rule.max_gap_s, rule.max_time_difference_s
-    )
-
-
 def _distinct(rows: Indices, count: int) -> int:
     """Return the number of distinct indices in `rows`, which are below `count`."""
     named = np.zeros(count, dtype=bool)
     named[rows] = True
     return int(np.count_nonzero(named))
+
+
+def _one_to_one(
+    groundtruth: Trajectory, estimate: Trajectory, limit_s: float, *, is_rpg: bool
+) -> tuple[Indices, Indices]:
+    """Pair greedily, closest first, every state at most once (rule of TUM and of rpg's toolbox).
+
+    The toolbox excludes the limit itself and compares timestamps in float64 seconds.
+    """
+    groundtruth_times: NDArray[Any] = groundtruth.stamps
+    times: NDArray[Any] = estimate.stamps
+    reach: float = round(limit_s * NANOSECONDS)
+    if is_rpg:
+        groundtruth_times, times, reach = (
+            _float_seconds(groundtruth_times),
+            _float_seconds(times),
+            limit_s,
+        )
+    groundtruth_order = np.argsort(groundtruth_times, kind="stable")
+    in_order = groundtruth_times[groundtruth_order]
+    low = np.searchsorted(in_order, times - reach, side="left")
+    count = np.searchsorted(in_order, times + reach, side="right") - low
+    row = np.repeat(np.arange(len(count)), count)
+    place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    groundtruth_row = groundtruth_order[low[row] + place]
+    difference = np.abs(groundtruth_times[groundtruth_row] - times[row])
+    if is_rpg:
+        close = difference < limit_s
+        row, groundtruth_row, difference = row[close], groundtruth_row[close], difference[close]
+    order = np.lexsort((groundtruth_row, row, difference))
+    row, groundtruth_row = row[order], groundtruth_row[order]
+    taken_row: Indices = np.full(len(estimate), -1, dtype=np.int64)
+    taken_groundtruth = np.zeros(len(groundtruth), dtype=bool)
+    # A pair that is the closest one of both of its states is accepted, and all other pairs of
+    # these states are removed. Then other pairs are the closest. A few rounds are usually enough.
+    for _ in range(_ROUNDS):
+        if not len(row):
+            break
+        rank = np.arange(len(row))
+        first_of_row = np.full(len(estimate), len(row))
+        first_of_groundtruth = np.full(len(groundtruth), len(row))
+        np.minimum.at(first_of_row, row, rank)
+        np.minimum.at(first_of_groundtruth, groundtruth_row, rank)
+        both = (first_of_row[row] == rank) & (first_of_groundtruth[groundtruth_row] == rank)
+        taken_row[row[both]] = groundtruth_row[both]
+        taken_groundtruth[groundtruth_row[both]] = True
+        free = (taken_row[row] < 0) & ~taken_groundtruth[groundtruth_row]
+        row, groundtruth_row = row[free], groundtruth_row[free]
+    # Long chains of competing pairs, such as equal rates half a period apart, go one by one.
+    for one, other in zip(row.tolist(), groundtruth_row.tolist(), strict=True):
+        if taken_row[one] < 0 and not taken_groundtruth[other]:
+            taken_row[one] = other
+            taken_groundtruth[other] = True
+    rows = np.flatnonzero(taken_row >= 0)
+    return taken_row[rows], rows
+
+
+def _evo(groundtruth: Trajectory, estimate: Trajectory, limit_s: float) -> tuple[Indices, Indices]:
+    """Pair as evo does: every state of the shorter trajectory with the nearest of the other.
+
+    Timestamps are compared as evo reads them.
+    """
+    driven_by_groundtruth = len(groundtruth) < len(estimate)
+    short, long = (groundtruth, estimate) if driven_by_groundtruth else (estimate, groundtruth)
+    short_rows, long_rows = match_as_evo(
+        _float_seconds(short.stamps), _float_seconds(long.stamps), limit_s
+    )
+    return (short_rows, long_rows) if driven_by_groundtruth else (long_rows, short_rows)
+
+
+def _nearest_pairs(
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
+) -> tuple[Indices, Indices]:
+    """Return the paired rows (K,) of both sides in any order, by `nearest`, `rpg` or `evo`."""
+    limit_s = rule.max_time_difference_s
+    if rule.method == "evo":
+        return _evo(groundtruth, estimate, limit_s)
+    return _one_to_one(groundtruth, estimate, limit_s, is_rpg=rule.method == "rpg")
+
+
+def _float_seconds(stamps: Indices) -> Floats:
+    """Return timestamps in float64 seconds, as rpg and evo read them; resolution 2.4e-7 s.
+
+    A difference equal to the limit is then rounded as in these tools.
+    """
+    seconds: Floats = stamps // NANOSECONDS + (stamps % NANOSECONDS) / NANOSECONDS
+    return seconds

@@ -15,6 +15,7 @@ import numpy as np
 from trajeval_ros.geometry import lie, se3, so3
 from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association_rule import AssociationRule
 
 HOLD, CONSTANT, TWIST = MOTIONS = "hold", "constant", "twist"
 PARTS = ("estimator", "latency", "dropout", "sampling")
@@ -143,7 +144,7 @@ def in_use(messages: Messages, stamps: Stamps) -> Indices:
 
 
 def sampled(
-    groundtruth: Trajectory, messages: Messages, stamps: Stamps, max_gap_s: float
+    groundtruth: Trajectory, messages: Messages, stamps: Stamps, association: AssociationRule
 ) -> AvailableSamples:
     """Return the as-available errors at instants (N,) after the first receive time.
 
@@ -156,7 +157,9 @@ def sampled(
     usual = np.minimum(sooner, _USUAL * messages.usual_ns[at_once])
     # Ages up to which the four parts are counted: 0, latency, and latency with dropout.
     reached = np.stack([np.zeros_like(age), age - sooner, age - usual, age])
-    states, bracket = groundtruth.at((messages.stamps[rows] + reached).ravel(), max_gap_s)
+    states, bracket = association.interpolated(
+        groundtruth, (messages.stamps[rows] + reached).ravel()
+    )
     usable = bracket.usable.reshape(4, -1)
     kept = usable.all(axis=0)
     places = np.cumsum(usable.ravel()).reshape(4, -1)[:, kept] - 1

@@ -18,6 +18,7 @@ import numpy as np
 from trajeval_ros.formatting.numbers import whole_percent
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.statistics import LogHistogram
 
 # Steps are between keyframes if their 90 % quantile exceeds this time, and this multiple of the
@@ -32,7 +33,6 @@ _USUAL_STEPS = 2.0
 _STILL_M = 0.05
 _STILL_RAD = math.radians(3.0)
 LOW_COVERAGE = 0.9  # below, errors of different runs are not compared
-NO_GAP_NS = int(np.iinfo(np.int64).max)
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,9 @@ class CoverageSums:
     is equal.
     """
 
-    def __init__(self, max_gap_s: float) -> None:
-        """Create sums without a step; steps up to `max_gap_s` always count as covered."""
-        self._max_gap_s = max_gap_s
+    def __init__(self, rule: AssociationRule) -> None:
+        """Create sums without a step; steps that are no gaps of the rule count as covered."""
+        self._rule = rule
         self._steps = 0
         self._time_ns = self._short_ns = 0
         self._time_s, self._reach_m, self._turn_rad = (LogHistogram() for _ in range(3))
@@ -89,7 +89,7 @@ class CoverageSums:
 
     def add(self, steps: PairSteps) -> None:
         """Add steps, in any order."""
-        is_long = steps.time_ns > round(self._max_gap_s * NANOSECONDS)
+        is_long = self._rule.is_gap(steps.time_ns)
         self._steps += len(steps.time_ns)
         self._time_ns += int(steps.time_ns.sum())
         self._short_ns += int(steps.time_ns[~is_long].sum())
@@ -117,10 +117,10 @@ class CoverageSums:
         if self._long:
             steps = PairSteps(*map(np.concatenate, zip(*self._long, strict=True)))
             self._long = [steps]
-            limit_s = max(self._max_gap_s, _USUAL_STEPS * usual_s)
+            limit_s = _USUAL_STEPS * usual_s
             if keyframes:
                 limit_s = max(limit_s, _SHORT_S)
-            is_tracked = steps.time_ns / NANOSECONDS <= limit_s
+            is_tracked = ~self._rule.bridging(limit_s).is_gap(steps.time_ns)
             if keyframes:
                 is_tracked |= self._hardly_moved(steps)
             covered_ns += int(steps.time_ns[is_tracked].sum())
@@ -152,33 +152,29 @@ def _longest(steps: PairSteps) -> Gap | None:
 def coverage_of(
     groundtruth: Trajectory,
     pairs: Trajectory,
-    max_gap_s: float,
-    *,
-    in_gaps: bool = False,
+    rule: AssociationRule,
     frozen_ns: int = 0,
 ) -> Coverage:
     """Return the share of the groundtruth's time that pairs cover.
 
-    `pairs` are the groundtruth states of the pairs, at least one, without repetition. Steps of
-    either side up to `max_gap_s` are no gaps. `in_gaps`: pairs exist in gaps of the groundtruth,
-    so that gaps count as time. `frozen_ns` is the time of frozen estimates.
+    `pairs` are the groundtruth states of the pairs, at least one, without repetition. `frozen_ns`
+    is the time of frozen estimates.
     """
-    max_gap_ns = NO_GAP_NS if in_gaps else round(max_gap_s * NANOSECONDS)
     order = np.argsort(groundtruth.stamps, kind="stable")
     times = groundtruth.stamps[order]
-    needed = order[waypoints(times, max_gap_ns)]
+    needed = order[waypoints(times, rule)]
     poses = StampedPoses.of(pairs, np.argsort(pairs.stamps, kind="stable"))
     # The nearest estimate can be beyond the groundtruth's ends; coverage ends there.
     within = poses._replace(stamps=poses.stamps.clip(times[0], times[-1]))
-    sums = CoverageSums(max_gap_s)
-    sums.add(StepMeter(max_gap_ns).measure(StampedPoses.of(groundtruth, needed), within))
-    return sums.coverage(time_without_gaps(times, max_gap_ns), len(groundtruth), frozen_ns)
+    sums = CoverageSums(rule)
+    sums.add(StepMeter(rule).measure(StampedPoses.of(groundtruth, needed), within))
+    return sums.coverage(time_without_gaps(times, rule), len(groundtruth), frozen_ns)
 
 
-def time_without_gaps(stamps: Indices, max_gap_ns: int) -> int:
+def time_without_gaps(stamps: Indices, rule: AssociationRule) -> int:
     """Return the sum of the steps between sorted stamps (N,) that are no gaps, nanoseconds."""
     steps = stamps[1:] - stamps[:-1]
-    return int(steps[steps <= max_gap_ns].sum())
+    return int(steps[~rule.is_groundtruth_gap(steps)].sum())
 
 
 # 20 Hz resolves the motion of a robot and needs little memory.
@@ -224,13 +220,13 @@ class PairSteps(NamedTuple):
         return PairSteps(self.time_ns[chosen], self.reach_m[chosen], self.turn_rad[chosen])
 
 
-def waypoints(stamps: Stamps, max_gap_ns: int) -> Booleans:
+def waypoints(stamps: Stamps, rule: AssociationRule) -> Booleans:
     """Return which groundtruth states (N,) are needed to measure steps, by their sorted stamps.
 
     These are the first state of every 50 ms and both ends of longer steps, so that gaps keep their
     length. The choice depends only on a state's timestamp and its neighbours'.
     """
-    cell = min(_CELL_NS, max(max_gap_ns // 2, 1))
+    cell = rule.cell_ns(_CELL_NS)
     needed = np.ones(len(stamps), dtype=bool)
     step = stamps[1:] - stamps[:-1]
     cells = stamps // cell
@@ -241,9 +237,9 @@ def waypoints(stamps: Stamps, max_gap_ns: int) -> Booleans:
 class StepMeter:
     """Measures steps from batches of pairs and groundtruth, of any size, in order."""
 
-    def __init__(self, max_gap_ns: int) -> None:
-        """Create it before the first pair; longer steps of the groundtruth are gaps."""
-        self._max_gap_ns = max_gap_ns
+    def __init__(self, rule: AssociationRule) -> None:
+        """Create it before the first pair."""
+        self._rule = rule
         self._last: tuple[int, int] | None = None  # last waypoint: stamp, time without gaps
         self._begin: Floats | None = None  # pose of the newest pair
         self._stamp = self._begin_ns = 0  # newest pair: stamp, time without gaps
@@ -293,12 +289,12 @@ class StepMeter:
         if not len(groundtruth):
             return np.zeros(len(stamps), dtype=np.int64)
         step = groundtruth[1:] - groundtruth[:-1]
-        is_gap = step > self._max_gap_ns
+        is_gap = self._rule.is_groundtruth_gap(step)
         until = since_ns + np.concatenate([[0], np.cumsum(np.where(is_gap, 0, step))])
         place = (groundtruth.searchsorted(stamps, side="right") - 1).clip(0)
         beyond = (stamps - groundtruth[place]).clip(0)
         # A longer time after the last waypoint can only be an open gap.
-        in_gap = np.append(is_gap, False)[place] | (beyond > self._max_gap_ns)
+        in_gap = np.append(is_gap, False)[place] | self._rule.is_groundtruth_gap(beyond)
         self._last = int(groundtruth[-1]), int(until[-1])
         times: Indices = until[place] + np.where(in_gap, 0, beyond)
         return times

@@ -32,7 +32,8 @@ from trajeval_ros.geometry.trajectory_edits import (
     merged,
 )
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.association import AssociationRule, associate
+from trajeval_ros.metrics.association import associate
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.protocol import Protocol
 

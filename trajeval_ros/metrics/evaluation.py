@@ -27,7 +27,8 @@ from trajeval_ros.metrics.absolute_errors import (
     error_vectors,
 )
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, associate
+from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH
 from trajeval_ros.metrics.columns import (
     ArrayColumns,
     arrow_table,

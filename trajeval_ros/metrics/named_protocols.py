@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AssociationRule
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, AssociationRule
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
 from trajeval_ros.metrics.sub_trajectories import Length, Selection

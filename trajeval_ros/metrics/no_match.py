@@ -9,9 +9,9 @@ import numpy as np
 
 from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association_rule import LATEST_CLOCK_S, AssociationRule
 from trajeval_ros.metrics.statistics import median
 
-LATEST_CLOCK_S = 5e9  # the year 2128
 _GPS_START_S = 315_964_782  # start of GPS time since 1970, less the 18 leap seconds since 2017
 _WEEK_S = 604_800
 _DAY_S = 86_400.0
@@ -43,8 +43,7 @@ def explain_no_match(
     groundtruth: Trajectory,
     estimate: Trajectory,
     dropped: dict[str, int],
-    max_gap_s: float,
-    max_time_difference_s: float,
+    rule: AssociationRule,
 ) -> str:
     """Return both time ranges and the likely cause, as one sentence.
 
@@ -62,12 +61,12 @@ def explain_no_match(
     if dropped.get("in_groundtruth_gap"):
         return (
             f"{text}; all common timestamps are in groundtruth gaps longer than "
-            f"{max_gap_s:g} s (median step {_step_s(groundtruth):.3g} s); increase the max "
+            f"{rule.max_gap_s:g} s (median step {_step_s(groundtruth):.3g} s); increase the max "
             "gap, or use association continuous"
         )
     if dropped.get("in_estimate_gap"):
         return (
-            f"{text}; all common timestamps are in estimate gaps longer than {max_gap_s:g} "
+            f"{text}; all common timestamps are in estimate gaps longer than {rule.max_gap_s:g} "
             f"s (median step {_step_s(estimate):.3g} s); use association linear, or increase the "
             "max gap"
         )
@@ -79,7 +78,7 @@ def explain_no_match(
             )
         return (
             f"{text}; they overlap, but all time differences exceed "
-            f"{max_time_difference_s:g} s; use association linear, or increase the max "
+            f"{rule.max_time_difference_s:g} s; use association linear, or increase the max "
             "time difference"
         )
     thousands = math.log10(max(groundtruth_s[1], 1e-9) / max(estimate_s[1], 1e-9)) / 3.0

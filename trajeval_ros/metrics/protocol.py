@@ -10,7 +10,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry.gauge import Gauge, gauge_for
-from trajeval_ros.metrics.association import AUTO, AssociationRule
+from trajeval_ros.metrics.association_rule import AUTO, AssociationRule
 from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
 from trajeval_ros.metrics.sub_trajectories import Length, Selection, parse_lengths
 

@@ -12,7 +12,8 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association
+from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.association_rule import AUTO
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.discontinuities.events import FROZEN
 from trajeval_ros.metrics.discontinuities.lost_tracking import TrackingLosses
@@ -69,9 +70,7 @@ class OnlineEvaluator:
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
         self.frames = LiveFrames(self.settings)
-        at_groundtruth = rule.method == AT_GROUNDTRUTH
-        limits = self.settings.limits
-        self._pair_by(Pairing(rule.max_gap_s, limits, at_groundtruth=at_groundtruth))
+        self._pair_by(Pairing(rule, self.settings.limits))
         self._is_settled = rule.method != AUTO
         self.store = PairStore()
         self._begin_to_align()
@@ -306,9 +305,8 @@ class OnlineEvaluator:
 
     def _pair_by(self, buffer: Pairing) -> None:
         self.buffer = buffer
-        kind = "points" if buffer.at_groundtruth else "poses"
-        self.rule = self.settings.protocol.association.for_kind(kind)
-        self.losses = TrackingLosses(of_fixes=buffer.at_groundtruth, max_gap_s=buffer.max_gap_s)
+        self.rule = buffer.rule
+        self.losses = TrackingLosses(buffer.rule)
         self._coverage: LiveCompleteness | LiveCoverage = (
             LiveCompleteness(buffer)
             if buffer.at_groundtruth

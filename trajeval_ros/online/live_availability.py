@@ -19,6 +19,7 @@ from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.as_available import Availability, AvailabilityRule, usable_messages
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.availability import (
     RATE_HZ,
     RECENT,
@@ -44,9 +45,11 @@ _AT_ONCE_NS = 50 * STEP_NS  # an evaluation has a fixed cost, whatever the numbe
 class LiveAvailability:
     """Computes the as-available errors of one estimate, in bounded memory."""
 
-    def __init__(self, rule: AvailabilityRule, max_gap_s: float, max_delay_s: float) -> None:
+    def __init__(
+        self, rule: AvailabilityRule, association: AssociationRule, max_delay_s: float
+    ) -> None:
         """Create it without messages."""
-        self._rule, self._max_gap_s = rule, max_gap_s
+        self._rule, self._association = rule, association
         self._delay_ns = round(min(max_delay_s, 3600.0) * NANOSECONDS)
         self._new_messages: list[Rows] = []  # since the last call of `store`
         self._truth = Tail()
@@ -108,7 +111,8 @@ class LiveAvailability:
         if not len(final):
             return None
         self._next = int(final[-1]) + STEP_NS
-        samples = sampled(truth, messages, final[in_use(messages, final) >= 0], self._max_gap_s)
+        final = final[in_use(messages, final) >= 0]
+        samples = sampled(truth, messages, final, self._association)
         # Keep what the next sample can use, and the messages before that.
         used = max(int(in_use(messages, np.array([self._next]))[0]), 0)
         before = np.unique(messages.stamps[: used + 1])[-RECENT - 2 :]

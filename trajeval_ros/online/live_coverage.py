@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.completeness import CompletenessSums
 from trajeval_ros.metrics.coverage import (
     Coverage,
@@ -27,9 +26,7 @@ class LiveCoverage:
     def __init__(self, buffer: Pairing, losses: TrackingLosses) -> None:
         """Create it without pairs; `losses` are those in the measured pairs."""
         self._buffer, self._losses = buffer, losses
-        self._max_gap_ns = round(buffer.max_gap_s * NANOSECONDS)
-        self._meter = StepMeter(self._max_gap_ns)
-        self._sums = CoverageSums(buffer.max_gap_s)
+        self._meter, self._sums = StepMeter(buffer.rule), CoverageSums(buffer.rule)
         self._newest: Stamps = np.empty(0, dtype=np.int64)  # examined groundtruth state, if any
         self._has_pairs = False
 
@@ -55,7 +52,7 @@ class LiveCoverage:
         if end <= begin:
             return StampedPoses.joined([])
         around = np.concatenate([self._newest, stamps[begin : end + 1]])
-        needed = waypoints(around, self._max_gap_ns)[len(self._newest) : -1]
+        needed = waypoints(around, self._buffer.rule)[len(self._newest) : -1]
         self._newest = stamps[end - 1 : end].copy()
         return track.poses(begin + np.flatnonzero(needed))
 

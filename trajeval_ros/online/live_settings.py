@@ -10,7 +10,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.as_available import AvailabilityRule
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, AUTO
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Selection
 from trajeval_ros.online.state_buffer import BufferLimits

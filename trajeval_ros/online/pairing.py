@@ -16,10 +16,11 @@ import numpy as np
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Indices, Stamps
 from trajeval_ros.geometry.interpolation import Bracket
-from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
-from trajeval_ros.metrics.coverage import NO_GAP_NS, StampedPoses, time_without_gaps
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, AssociationRule
+from trajeval_ros.metrics.coverage import StampedPoses, time_without_gaps
 from trajeval_ros.online.state_buffer import NEVER, BufferLimits, StateCounts, Tail
 
 
@@ -65,16 +66,11 @@ class Pairing:
     """
 
     def __init__(
-        self,
-        max_gap_s: float = 0.5,
-        limits: BufferLimits | None = None,
-        *,
-        at_groundtruth: bool = False,
+        self, rule: AssociationRule | None = None, limits: BufferLimits | None = None
     ) -> None:
-        """Create it without states; `at_groundtruth` interpolates the estimate."""
-        self.max_gap_s = max_gap_s  # longest step of the interpolated side, seconds
+        """Create it without states, by default for a groundtruth of poses."""
+        self.rule = (rule or AssociationRule()).for_kind("poses")  # as resolved so far
         self.limits = limits or BufferLimits()  # limits of the memory
-        self.at_groundtruth = at_groundtruth
         # The newest states of both sides. Column `waits`: of a state without a decision.
         self.groundtruth, self.estimate = Tail(), Tail()
         # Of the interpolated side, they count as dropped `too_late`, a state whose neighbours have
@@ -87,6 +83,11 @@ class Pairing:
         self._forgotten_until = self._paired_until = NEVER
         self._is_full = False  # whether states were dropped by number, not by age
         self._left_time_ns, self._left_path_m = 0, 0.0  # of the groundtruth that was forgotten
+
+    @property
+    def at_groundtruth(self) -> bool:
+        """Whether the estimate is interpolated."""
+        return self.rule.method == AT_GROUNDTRUTH
 
     @property
     def interpolated(self) -> str:
@@ -104,7 +105,7 @@ class Pairing:
 
     def pair_at_groundtruth(self) -> None:
         """Interpolate the estimate from now on; call it before the first groundtruth."""
-        self.at_groundtruth = True
+        self.rule = replace(self.rule, method=AT_GROUNDTRUTH)
         self.estimate_counts.dropped = self.dropped
         self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
         self._waits_from = NEVER
@@ -134,7 +135,7 @@ class Pairing:
     def groundtruth_time(self) -> int:
         """Groundtruth time that pairs can cover, nanoseconds; fixes and points have no gaps."""
         stamps = self.groundtruth.stamps[: self._groundtruth_rows]
-        return self._left_time_ns + time_without_gaps(stamps, self._groundtruth_gap_ns)
+        return self._left_time_ns + time_without_gaps(stamps, self.rule)
 
     @property
     def groundtruth_path_m(self) -> float:
@@ -145,10 +146,6 @@ class Pairing:
     def _groundtruth_rows(self) -> int:
         """Number of the stored groundtruth states before those that wait."""
         return self._first_waiting if self.at_groundtruth else len(self.groundtruth)
-
-    @property
-    def _groundtruth_gap_ns(self) -> int:
-        return NO_GAP_NS if self.at_groundtruth else round(self.max_gap_s * NANOSECONDS)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -222,7 +219,7 @@ class Pairing:
         begin = max(int(track.stamps.searchsorted(states.stamps[0], side="right")) - 1, 0)
         beyond = int(track.stamps.searchsorted(states.stamps[-1])) + 1
         around = track.trajectory(slice(min(begin, len(track) - 1), beyond))
-        between, bracket = around.at(states.stamps, self.max_gap_s)
+        between, bracket = self.rule.interpolated(around, states.stamps)
         self._count_decided(states, bracket)
         if len(between) < len(states):
             states = states[bracket.usable]
@@ -318,7 +315,7 @@ class Pairing:
             return
         if side is self.groundtruth:
             stamps = side.stamps[: count + 1]
-            self._left_time_ns += time_without_gaps(stamps, self._groundtruth_gap_ns)
+            self._left_time_ns += time_without_gaps(stamps, self.rule)
             self._left_path_m += _path_m(side, count + 1)
         side.drop_before(count)
 

@@ -18,7 +18,7 @@ from trajeval_ros.formatting.numbers import NOTHING, counted, four_digits, whole
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.likelihood.likelihood_assessment import assess_likelihood
-from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.report.console import Table
@@ -139,7 +139,7 @@ def compare_associations(
         f"nearest, within {base.max_time_difference_s:g} s": nearest,
         "nearest, every pose": dataclasses.replace(modelled, model="nearest"),
         f"linear, gaps up to {base.max_gap_s:g} s": base,
-        "linear, every pose": dataclasses.replace(base, max_gap_s=_ANY_GAP_S),
+        "linear, every pose": base.bridging(_ANY_GAP_S),
     }
     reported = [_plain(name, poor, estimate, ruled(rule)) for name, rule in plain.items()]
     reported += _continuous(poor, estimate, ruled(modelled))

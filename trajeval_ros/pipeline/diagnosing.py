@@ -22,15 +22,13 @@ from trajeval_ros.metrics.statistics import median
 from trajeval_ros.pipeline.evaluation_remarks import remarks_on, require_same_body
 from trajeval_ros.pipeline.measurement import measured
 from trajeval_ros.pipeline.preparation import Inputs, corrected_and_cut
-from trajeval_ros.pipeline.request import Request
+from trajeval_ros.pipeline.request import OF_PAIRS, Request
 
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Calibrated
     from trajeval_ros.metrics.association import Association
     from trajeval_ros.metrics.discontinuities.events import Event, Loss
 
-# Corrections that change the pairs.
-_TEMPORAL = {"time_offset", "estimate.clock_rate", "end", "max_gap"}
 _OF_EVENTS = {"correct", "drop_groundtruth_outliers"}  # corrections of discontinuities
 
 
@@ -110,7 +108,7 @@ def reevaluation(
             sides = dataclasses.replace(given, events=events)
         for correction in corrections:
             changed = changed.corrected(correction)
-            if given.pairs is not None and correction.keys() & _TEMPORAL:
+            if given.pairs is not None and correction.keys() & OF_PAIRS:
                 sides = _by_their_clocks(given.pairs)
                 changed = _with_gaps_of(given.pairs, changed)
         after = measured(sides, changed, same_as, compares=False)[2]
@@ -130,8 +128,7 @@ def _with_gaps_of(pairs: Association, request: Request) -> Request:
     """Return a request that interpolates between thinned pairs."""
     steps = np.diff(pairs.groundtruth.stamps) / NANOSECONDS
     rule = request.protocol.association
-    most_s = max(rule.max_gap_s, 3.0 * median(steps) if len(steps) else 0.0)
-    rule = dataclasses.replace(rule, max_gap_s=most_s)
+    rule = rule.bridging(3.0 * median(steps)) if len(steps) else rule
     protocol = dataclasses.replace(request.protocol, association=rule)
     return dataclasses.replace(request, protocol=protocol)
 

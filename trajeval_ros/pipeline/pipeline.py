@@ -170,14 +170,12 @@ def _available(inputs: Inputs, evaluation: Evaluation, request: Request) -> AsAv
         estimate = of_same_point(estimate, protocol)
         if protocol.gauge is Gauge.PLANAR:
             groundtruth = on_plane(groundtruth)
-    association = evaluation.association.rule
     return as_available(
         groundtruth.in_order(),
         estimate,
         evaluation.alignment.similarity,
         rule,
-        association.max_gap_s,
-        round(association.time_offset_s * NANOSECONDS),
+        evaluation.association.rule,
     )
 
 

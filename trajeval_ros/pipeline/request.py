@@ -30,6 +30,9 @@ from trajeval_ros.pipeline.corrections import Corrections, require_correctable
 
 CONTINUOUS = "continuous"
 
+# Corrections that change the pairs.
+OF_PAIRS = {"time_offset", "estimate.clock_rate", "end", "max_gap"}
+
 
 @dataclass(frozen=True, eq=False)
 class Request:

@@ -159,7 +159,7 @@ def _line(evaluation: Evaluation, metric: str) -> Floats | None:
         return None
     groundtruth = evaluation.association.groundtruth
     columns = np.stack([groundtruth.travelled, errors], axis=1)
-    return thinned(columns, groundtruth.stamps, evaluation.protocol.association.max_gap_s)
+    return thinned(columns, groundtruth.stamps, evaluation.protocol.association.is_gap)
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ def as_available_figure(evaluation: Evaluation, availability: AsAvailable) -> Fi
         figure.add_subplot(grid[row, column]) for row in (0, 1) for column in (0, 1)
     )
     begin = int(samples.stamps[0])
-    gap_s = evaluation.protocol.association.max_gap_s
+    is_gap = evaluation.protocol.association.is_gap
     pairs = evaluation.association.groundtruth.stamps
     lines = (
         (pairs, evaluation.absolute.position_m, _EVALUATED, "at timestamps"),
@@ -55,7 +55,7 @@ def as_available_figure(evaluation: Evaluation, availability: AsAvailable) -> Fi
         columns = np.stack([(stamps - begin) / NANOSECONDS, values], axis=1)
         colour, _ = canvas.line_style(place)
         words = f"{label}, RMSE {significant(np.sqrt(np.mean(values**2)), 3)} m"
-        upper.plot(*thinned(columns, stamps, gap_s).T, color=colour, linewidth=0.9, label=words)
+        upper.plot(*thinned(columns, stamps, is_gap).T, color=colour, linewidth=0.9, label=words)
         near = np.abs(columns[:, 0] - middle) <= _DETAIL_S / 2
         detail.plot(*columns[near].T, color=colour, linewidth=0.9)
     upper.set_ylabel("position error [m]")

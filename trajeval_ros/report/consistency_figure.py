@@ -47,7 +47,7 @@ def consistency_drawings(
 def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str) -> Figure:
     """Draw the errors along every axis with +-3 sigma, and the NEES of every pose."""
     groundtruth = evaluation.association.groundtruth
-    max_gap_s = evaluation.protocol.association.max_gap_s
+    is_gap = evaluation.protocol.association.is_gap
     units = np.repeat([1.0, 180.0 / np.pi], 3)
     assert consistency.sigmas is not None
     errors, limits = consistency.errors * units, _SIGMAS * consistency.sigmas * units
@@ -63,7 +63,7 @@ def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str)
     columns = np.concatenate(
         [groundtruth.seconds[:, None] - groundtruth.seconds[0], errors, limits], axis=1
     )
-    rows = thinned(columns, groundtruth.stamps, max_gap_s)
+    rows = thinned(columns, groundtruth.stamps, is_gap)
     time = rows[:, 0]
     for axis, (axes, label) in enumerate(zip(panels, _LABELS, strict=True)):
         limit = rows[:, 7 + axis]
@@ -82,7 +82,7 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
     nees, per_pose = consistency.pose_nees, consistency.per_pose
     assert nees is not None
     assert per_pose is not None
-    gap_s = evaluation.protocol.association.max_gap_s
+    is_gap = evaluation.protocol.association.is_gap
     moved, rotation_axes = consistency.axes
     for values, label, place in (
         (nees.rotation, f"orientation / {rotation_axes}", 2),
@@ -91,7 +91,7 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
     ):
         colour, _ = canvas.line_style(place)
         columns = np.stack([groundtruth.seconds - groundtruth.seconds[0], values], axis=1)
-        across = thinned(columns, groundtruth.stamps, gap_s).T
+        across = thinned(columns, groundtruth.stamps, is_gap).T
         lowest.plot(*across, color=colour, label=label, linewidth=0.9)
     highest = float(max(map(np.nanmax, (nees.pose, nees.position, nees.rotation))))
     limit = per_pose.limit_95
@@ -111,7 +111,7 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
 
     assert consistency.covariances is not None
     groundtruth, aligned = evaluation.association.groundtruth, evaluation.aligned
-    max_gap_s = evaluation.protocol.association.max_gap_s
+    is_gap = evaluation.protocol.association.is_gap
     extent = float(extents(groundtruth.positions[:, :2]).max())
     along = groundtruth.travelled
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSES))
@@ -129,7 +129,7 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
         f"({consistency.exactness})",
     )
     axes = panels.of(0)
-    panels.draw_path(0, thinned(aligned.positions[:, :2], aligned.stamps, max_gap_s))
+    panels.draw_path(0, thinned(aligned.positions[:, :2], aligned.stamps, is_gap))
     angles_deg = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
     edge, _ = canvas.line_style(1)
     axes.add_collection(
@@ -145,7 +145,7 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
             linewidths=0.9,
         )
     )
-    return panels.finish(thinned(whole, groundtruth.stamps, max_gap_s), whole, ("x", "y"))
+    return panels.finish(thinned(whole, groundtruth.stamps, is_gap), whole, ("x", "y"))
 
 
 def stanford(integrity: Integrity, name: str) -> Figure:

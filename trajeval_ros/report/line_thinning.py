@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 
 MOST_POINTS = 20_000
+# Returns which time steps (N,), nanoseconds, interrupt a line.
+IsGap: TypeAlias = Callable[[Stamps], Booleans]
 
 
-def thinned(
-    columns: Floats, stamps: NDArray[np.int64], max_gap_s: float, most: int = MOST_POINTS
-) -> Floats:
+def thinned(columns: Floats, stamps: Stamps, is_gap: IsGap, most: int = MOST_POINTS) -> Floats:
     """Return rows (M, K) that look the same as the N rows when drawn as lines.
 
     The rows are divided into intervals of equal size. The rows with the least and the largest
-    value of a column in an interval are kept. A row of NaN interrupts the line where a time step
-    exceeds the gap and five median steps (steps between keyframes are long without being gaps).
-    `columns`: (N, K). `stamps`: (N,), nanoseconds, in order. `max_gap_s`: longest step that is no
-    gap, seconds.
+    value of a column in an interval are kept. A row of NaN interrupts the line in gaps that
+    exceed five median steps (steps between keyframes are long without being gaps). `columns`:
+    (N, K). `stamps`: (N,), nanoseconds, in order.
     """
     count, width = columns.shape
     rows = np.arange(count)
@@ -32,19 +33,17 @@ def thinned(
         extremes = np.stack([by_run.argmin(axis=1), by_run.argmax(axis=1)], axis=2)
         in_all = extremes + (size * np.arange(runs))[:, None, None]
         rows = np.concatenate([[0], in_all.ravel(), [count - 1]])
-    return _interrupted(columns, rows, _gaps(stamps, max_gap_s))
+    return _interrupted(columns, rows, _gaps(stamps, is_gap))
 
 
-def simplified(
-    path: Floats, stamps: NDArray[np.int64], max_gap_s: float, tolerance_m: float
-) -> Floats:
+def simplified(path: Floats, stamps: Stamps, is_gap: IsGap, tolerance_m: float) -> Floats:
     """Return rows (M, K) of a path (N, K) that stay within a tolerance of it, seen from above.
 
     As `thinned`, but a vertex is left out if the path is within the tolerance of the line that
     remains (Ramer, Douglas and Peucker). `tolerance_m`: in the first two columns, metres; it is
     doubled until at most `MOST_POINTS` rows remain.
     """
-    gaps = _gaps(stamps, max_gap_s)
+    gaps = _gaps(stamps, is_gap)
     pieces = np.split(path[:, :2], gaps + 1)
     starts = np.concatenate([[0], gaps + 1])
     while True:
@@ -84,11 +83,11 @@ def simplified_rows(line: Floats, tolerance: float) -> NDArray[np.intp]:
     return kept
 
 
-def _gaps(stamps: NDArray[np.int64], max_gap_s: float) -> NDArray[np.intp]:
+def _gaps(stamps: Stamps, is_gap: IsGap) -> NDArray[np.intp]:
     """Return the rows before gaps."""
     steps = np.diff(stamps)
     usual = float(np.median(steps)) if len(steps) else 0.0
-    return np.flatnonzero(steps > max(max_gap_s * NANOSECONDS, 5.0 * usual))
+    return np.flatnonzero(is_gap(steps) & (steps > 5.0 * usual))
 
 
 def _interrupted(columns: Floats, rows: NDArray[np.intp], gaps: NDArray[np.intp]) -> Floats:

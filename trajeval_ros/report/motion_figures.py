@@ -16,7 +16,8 @@ from trajeval_ros.geometry.lie import euler_angles
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import PLANES
 from trajeval_ros.geometry.travelled import speeds
-from trajeval_ros.metrics.association import AssociationRule, associate
+from trajeval_ros.metrics.association import associate
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.report import canvas
 from trajeval_ros.report.line_thinning import thinned
 from trajeval_ros.report.plane_panels import PlanePanels
@@ -28,7 +29,7 @@ TIMES = ("xyz", "rpy", "speed")
 PLOTS = (*PLANES, "3d", *TIMES)
 COLOURS_BY = {"error": "position error [m]", "speed": "speed [m/s]"}
 _TOP_PERCENTILE = 99.0  # of the values, so that one outlier does not give all one colour
-_GAP_S = 0.5
+_RULE = AssociationRule()
 _PANEL_IN, _REST_IN = 1.25, 0.5
 _3D_IN = 0.85  # height relative to the width
 _MOST_COLOURED = 4000  # line segments of a coloured path
@@ -96,7 +97,7 @@ def _plane(
     )
     if colours is None:
         for place, (trajectory, path) in enumerate(zip(trajectories, paths, strict=True)):
-            panels.draw_path(place, thinned(path, trajectory.stamps, _GAP_S))
+            panels.draw_path(place, thinned(path, trajectory.stamps, _RULE.is_gap))
     else:
         known = [_values(trajectory, reference, colours.by) for trajectory in trajectories]
         largest = colours.largest
@@ -114,7 +115,7 @@ def _plane(
     line = (
         None
         if reference is None or groundtruth is None
-        else thinned(groundtruth, reference.stamps, _GAP_S)
+        else thinned(groundtruth, reference.stamps, _RULE.is_gap)
     )
     return panels.finish(line, marked, (plane[0], plane[1]), "reference")
 
@@ -128,7 +129,7 @@ def _values(
         return trajectory.positions[1:], trajectory.stamps[1:], linear
     if reference is None:
         raise InputError("errors need a reference; give --reference SOURCE")
-    pairs = associate(reference, trajectory, AssociationRule())
+    pairs = associate(reference, trajectory, _RULE)
     errors = np.linalg.norm(pairs.estimate.positions - pairs.groundtruth.positions, axis=1)
     return pairs.estimate.positions, pairs.estimate.stamps, errors
 
@@ -142,7 +143,7 @@ def _pieces(path: Floats, stamps: Stamps, values: Floats) -> tuple[Floats, Float
     lines = np.stack([path[rows[:-1]], path[rows[1:]]], axis=1)
     largest = np.maximum.reduceat(values, rows[:-1])
     steps = np.diff(stamps)
-    gap = steps > max(_GAP_S * NANOSECONDS, 5.0 * float(np.median(steps)))
+    gap = _RULE.is_gap(steps) & (steps > 5.0 * float(np.median(steps)))
     passed = np.concatenate([[0], np.cumsum(gap)])[rows]
     connected = np.diff(passed) == 0
     return lines[connected], largest[connected]
@@ -153,7 +154,7 @@ def _space(trajectories: Sequence[Trajectory], reference: Trajectory | None) -> 
     figure = canvas.new_figure(_3D_IN * canvas.width_in())
     axes = figure.add_subplot(projection="3d")
     for place, name, trajectory in _lines(trajectories, reference):
-        rows = thinned(trajectory.positions, trajectory.stamps, _GAP_S)
+        rows = thinned(trajectory.positions, trajectory.stamps, _RULE.is_gap)
         axes.plot(*rows.T, **_look(place), label=name)
     # Equal scales, with space for the labels.
     axes.autoscale_view(tight=True)
@@ -200,7 +201,7 @@ def _over_time(
         if kind == "rpy":
             columns -= _whole_turns(stamps, columns, *begun)
         seconds = (stamps - origin) / NANOSECONDS
-        rows = thinned(np.column_stack([seconds, columns]), stamps, _GAP_S)
+        rows = thinned(np.column_stack([seconds, columns]), stamps, _RULE.is_gap)
         for axes, column in zip(panels, rows.T[1:], strict=False):
             axes.plot(rows[:, 0], column, **_look(place), label=name)
     for axes, label in zip(panels, labels, strict=True):

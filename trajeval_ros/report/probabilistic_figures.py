@@ -106,7 +106,7 @@ def _draw_over_time(
     """Draw values (N,) of an estimate, by its place, over the time since an origin, ns."""
     colour, dashes = canvas.line_style(place)
     columns = np.stack([(stamps - origin) / NANOSECONDS, values], axis=1)
-    rows = thinned(columns, stamps, np.inf)
+    rows = thinned(columns, stamps, lambda steps: steps < 0)
     axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=label)
 
 

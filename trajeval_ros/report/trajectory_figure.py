@@ -50,7 +50,7 @@ def _view(
     """
     first = evaluations[0]
     groundtruth, upward = first.groundtruth, first.groundtruth.up
-    max_gap_s = first.protocol.association.max_gap_s
+    is_gap = first.protocol.association.is_gap
     across, up = axis_names(upward, plane)
     if any(Premise.UP_AXIS in evaluation.doubts.reasons for evaluation in evaluations):
         title = "Paths"
@@ -62,7 +62,7 @@ def _view(
         dict(enumerate(names)),
         f"{title} ({across}, {shown_up})\n{alignment_of(evaluations)}",
     )
-    line = thinned(whole, groundtruth.stamps, max_gap_s)
+    line = thinned(whole, groundtruth.stamps, is_gap)
     for place, (evaluation, path) in enumerate(zip(evaluations, aligned, strict=True)):
         groundtruth_pairs = evaluation.association.groundtruth
         _draw_correspondences(
@@ -72,7 +72,7 @@ def _view(
             groundtruth_pairs.travelled,
             "correspondences" if place == 0 else "_",  # one entry of the legend for all
         )
-        panels.draw_path(place, thinned(path, evaluation.aligned.stamps, max_gap_s))
+        panels.draw_path(place, thinned(path, evaluation.aligned.stamps, is_gap))
     for axes in panels.panels:
         draw_fixes(axes, groundtruth, whole, plane)
     matched = _seen(first.association.groundtruth, upward, plane)

@@ -39,7 +39,7 @@ _LOSS = "gap"
 _RESERVE = 1.4
 # No events in n hours: the rate is at most this / n per hour, at 95 %.
 _RULE_OF_THREE = 3.0
-_GAP_S = 2.0
+_GAP_NS = 2 * NANOSECONDS
 _MOST_CURVES, _MOST_EVENTS = 6, 6
 _NARROWEST_ALARM_S = 0.1
 
@@ -153,7 +153,10 @@ def _draw(axes: Axes, seen: Watched, book: AlarmBook, names: Sequence[str]) -> N
         columns = np.stack([seconds, np.maximum(ratios[signal], _LEAST)], axis=1)
         colour, dashes = canvas.line_style(number)
         axes.plot(
-            *thinned(columns, stamps, _GAP_S).T, color=colour, linestyle=dashes, label=signal
+            *thinned(columns, stamps, lambda steps: steps > _GAP_NS).T,
+            color=colour,
+            linestyle=dashes,
+            label=signal,
         )
     for alarm in book.alarms:
         if alarm.signal in names:

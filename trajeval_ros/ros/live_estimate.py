@@ -22,7 +22,7 @@ from trajeval_ros.io.live.state_file import (
     file_of_estimate,
 )
 from trajeval_ros.io.writing import write_whole
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH
 from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.events import (
     DECLARED,
@@ -105,7 +105,7 @@ class LiveEstimate:
             source.stream.is_receiver = True
             self.availability = LiveAvailability(
                 settings.available,
-                settings.protocol.association.max_gap_s,
+                settings.protocol.association,
                 settings.limits.past_s,
             )
 

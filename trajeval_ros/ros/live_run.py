@@ -20,7 +20,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.fix_file import FixWriter
 from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter
 from trajeval_ros.io.requests.setting import AUTO
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH
 from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_clock import OnlineClock

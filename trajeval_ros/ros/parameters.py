@@ -42,7 +42,7 @@ def declare(node: Node) -> dict[str, Any]:
 
     values = {}
     for parameter in PARAMETERS:
-        # YAML reads `window: 500` as a number and `max_gap: 1` as an integer. Both are valid,
+        # YAML reads `window: 500` as a number and `deadline: 1` as an integer. Both are valid,
         # therefore types are dynamic.
         descriptor = ParameterDescriptor(
             description=parameter.description,

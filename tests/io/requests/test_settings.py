@@ -29,7 +29,7 @@ from trajeval_ros.io.requests.settings_table import (
     settings_of,
     settings_of_many_runs,
 )
-from trajeval_ros.metrics.association import METHODS
+from trajeval_ros.metrics.association_rule import METHODS
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.parameter_table import PARAMETERS

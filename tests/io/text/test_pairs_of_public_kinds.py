@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.hints import SideHints
-from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.pipeline import evaluate
 

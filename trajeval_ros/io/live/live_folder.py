@@ -44,7 +44,7 @@ from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import NONE, Setting
 from trajeval_ros.io.requests.settings_table import SETTINGS, settings_with
 from trajeval_ros.io.results.result_json import statistics_json
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import received_poses

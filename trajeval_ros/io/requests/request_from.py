@@ -20,7 +20,7 @@ from trajeval_ros.io.requests.setting import ALL, AUTO, MESSAGE, NONE, parse_noi
 from trajeval_ros.io.requests.settings_table import SETTINGS
 from trajeval_ros.io.sources import parse_source
 from trajeval_ros.io.yaml_file import read_mapping, require_known
-from trajeval_ros.metrics.association import INTERPOLATING
+from trajeval_ros.metrics.association_rule import INTERPOLATING
 from trajeval_ros.metrics.named_protocols import protocol_named
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.states_table import parse_first_states
@@ -208,7 +208,7 @@ def _changes(name: str, value: Any) -> dict[str, Any]:
 
 
 def _replaced(whole: Any, changes: Mapping[str, Any]) -> Any:
-    """Return a dataclass with changed fields, by paths such as `association.max_gap_s`."""
+    """Return a dataclass with changed fields, by paths such as `association.time_offset_s`."""
     changed: dict[str, Any] = {}
     deeper: dict[str, dict[str, Any]] = {}
     for path, value in changes.items():

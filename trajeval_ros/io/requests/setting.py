@@ -44,7 +44,7 @@ class Setting:
     name: str  # key in YAML and parameter of the node; with `-` for `_` the option
     help: str  # meaning, values and unit; `{default}` is the default of the request
     kind: type = str  # type of the value as users write it; dict for a mapping, in YAML only
-    # Fields of `Request`, as in `protocol.association.max_gap_s`; () if it is not a part of it.
+    # Fields of `Request`, as in `protocol.association.method`; () if it is not a part of it.
     target: tuple[str, ...] | str = ()
     parse: Callable[[Any], Any] | None = None  # converts the value to that of the field
     # Returns the value as users write it from a request; None to read the first target.

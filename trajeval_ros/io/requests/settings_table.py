@@ -46,7 +46,7 @@ from trajeval_ros.io.requests.setting import (
     parse_up,
 )
 from trajeval_ros.metrics.as_available import RECEIVED
-from trajeval_ros.metrics.association import AT_GROUNDTRUTH, METHODS
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, METHODS
 from trajeval_ros.metrics.availability import HOLD, MOTIONS
 from trajeval_ros.metrics.discontinuities.handling import ON_RESTART
 from trajeval_ros.metrics.named_protocols import PROTOCOLS

@@ -6,12 +6,12 @@ Live and recorded evaluations share this code, so that they report the same time
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, AssociationRule
 from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.divergence import Divergence
 from trajeval_ros.metrics.discontinuities.events import ESTIMATE, SIDES, Event, Loss
@@ -32,20 +32,18 @@ class TrackingLosses:
     be right; the time is not tracked, too.
     """
 
-    def __init__(
-        self, *, of_fixes: bool = False, diverging: bool = True, max_gap_s: float = math.inf
-    ) -> None:
+    def __init__(self, rule: AssociationRule, *, diverging: bool = True) -> None:
         """Create it before the first pair.
 
         Args:
-            of_fixes: The groundtruth has fixes or points, which are too few or too noisy to show
-                a divergence.
+            rule: The association's, whose gaps are not in `frozen_ns`. Fixes or points of the
+                groundtruth are too few or too noisy to show a divergence.
             diverging: Whether to search for divergence, too.
-            max_gap_s: Longer steps between pairs are not in `frozen_ns`.
         """
+        of_fixes = rule.method == AT_GROUNDTRUTH
+        self._rule = rule
         self._divergence = Divergence() if diverging and not of_fixes else None
         self._losses: list[Loss] = []  # frozen poses, in order of detection
-        self._max_gap_ns = math.inf if math.isinf(max_gap_s) else round(max_gap_s * NANOSECONDS)
         self._moved_m = MOVED_OF_FIXES_M if of_fixes else MOVED_M
         self._streams: dict[str, SidePoses] = {}
         self._zero_ns = self._newest_ns = 0
@@ -80,7 +78,7 @@ class TrackingLosses:
         self._frozen += new
         self._losses += [event for event in new if isinstance(event, Loss)]
         before = np.append(self._newest_ns, stamps[:-1])
-        is_gap = stamps - before > self._max_gap_ns
+        is_gap = self._rule.is_gap(stamps - before)
         self._gaps += zip(before[is_gap].tolist(), stamps[is_gap].tolist(), strict=True)
         self._newest_ns = int(stamps[-1])
         self._is_settled = bool(self._parts.settled_until_s(ESTIMATE) >= seconds[-1])
@@ -125,14 +123,10 @@ class TrackingLosses:
 
 
 def frozen_in(
-    groundtruth: Trajectory,
-    estimate: Trajectory,
-    *,
-    of_fixes: bool = False,
-    max_gap_s: float = math.inf,
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
 ) -> tuple[tuple[Loss, ...], int]:
     """Return the frozen poses in N pairs, and `frozen_ns`; see `TrackingLosses`."""
-    losses = TrackingLosses(of_fixes=of_fixes, diverging=False, max_gap_s=max_gap_s)
+    losses = TrackingLosses(rule, diverging=False)
     _give(losses, groundtruth, estimate)
     return tuple(losses.events), losses.frozen_ns
 
