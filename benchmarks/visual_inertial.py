@@ -14,7 +14,7 @@ from statistics import median
 import numpy as np
 
 from trajeval_ros.papers.flight import Sampler
-from trajeval_ros.papers.gauge_covariance import fixed_covariance, free_covariance
+from trajeval_ros.papers.gauge_trials import fixed_covariance, free_covariance
 from trajeval_ros.papers.scene import PROFILES, make_scene
 from trajeval_ros.papers.solver import GaugeHandling, solve
 from trajeval_ros.simulation.motion import shape

@@ -117,7 +117,7 @@ def test_a_killed_comparison_holds_nothing(config: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
         "from trajeval_ros.batch.compare_runs import only_writer\n"
-        "from trajeval_ros.io.temporary import temporary_file\n"
+        "from trajeval_ros.io.writing import temporary_file\n"
         "with only_writer(Path(sys.argv[1])):\n"
         "    with temporary_file(Path(sys.argv[1]) / 'runs' / 'a.run'):\n"
         "        print('ready', flush=True); sys.stdin.read()\n"

@@ -24,7 +24,7 @@ from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.pipeline import evaluate
-from trajeval_ros.report.calibration_lines import calibration_lines
+from trajeval_ros.report.requested_lines import calibration_lines
 
 FAULT = Fault(0.1, 0.0, (0.6, -1.0, 1.5), (0.1, -0.05, 0.2))
 LEVER_M = np.array(FAULT.lever_m)

@@ -20,7 +20,7 @@ from trajeval_ros.calibration.significance import chance_of
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.report.calibration_lines import calibration_lines
+from trajeval_ros.report.requested_lines import calibration_lines
 
 AUTO = CalibrationRequest(offset=True, hand_eye=True)
 YAW = dataclasses.replace(Protocol(), gauge=Gauge.YAW)

@@ -15,8 +15,7 @@ from ros_bags import POSE, messages_of
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.describe import Description, TrajectorySummary
-from trajeval_ros.io.known_systems import recognised
+from trajeval_ros.io.describe import Description, TrajectorySummary, recognised
 from trajeval_ros.io.roles import likely_evaluations
 from trajeval_ros.simulation.drifting_odometry import simulate
 

@@ -15,14 +15,13 @@ import pytest
 from paths import ROOT
 from strategies import make_pair
 
-from trajeval_ros.cli.app import VERBS, main, verb
-from trajeval_ros.cli.replaced_words import REPLACED
+from trajeval_ros.cli.app import REPLACED, VERBS, main, verb
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag, write_mcap
 from trajeval_ros.io.find_sources import DEEPEST, MOST, find_sources
+from trajeval_ros.io.save_trajectories import write_tum
 from trajeval_ros.io.source_names import names_of
 from trajeval_ros.io.sources import read_many
-from trajeval_ros.io.text.text_writer import write_tum
 from trajeval_ros.report.console import Console
 
 needs_bash = pytest.mark.skipif(not shutil.which("bash"), reason="there is no bash")

@@ -39,7 +39,7 @@ from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.marker import at_arms
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.papers.flight import SampledEstimate, Sampler
-from trajeval_ros.papers.gauge_covariance import (
+from trajeval_ros.papers.gauge_trials import (
     fixed_covariance,
     free_covariance,
 )

@@ -39,7 +39,7 @@ from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.papers.gauge_covariance import fixed_covariance
+from trajeval_ros.papers.gauge_trials import fixed_covariance
 from trajeval_ros.papers.solver import GAUGE_INDICES
 from trajeval_ros.pipeline.pipeline import evaluate
 

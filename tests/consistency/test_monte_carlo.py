@@ -40,7 +40,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.papers.flight import Sampler, fly
-from trajeval_ros.papers.gauge_covariance import free_covariance
+from trajeval_ros.papers.gauge_trials import free_covariance
 from trajeval_ros.papers.scene import PROFILES, Scene
 from trajeval_ros.papers.solver import GaugeHandling, solve
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from trajeval_ros.consistency.consistency_result import Consistency, PoseNees
-from trajeval_ros.consistency.constant_covariances import constant_covariances
-from trajeval_ros.consistency.covariance_request import IntegrityRequest
+from trajeval_ros.consistency.covariance_request import IntegrityRequest, constant_covariances
 from trajeval_ros.consistency.integrity import integrity_of
 from trajeval_ros.geometry.gauge import Gauge
 

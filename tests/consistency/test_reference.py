@@ -14,7 +14,7 @@ from visual_inertial_scenes import relative, to_left
 from trajeval_ros.consistency.nees import diagonal_blocks, joint_nees, pose_nees
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.papers.gauge_covariance import (
+from trajeval_ros.papers.gauge_trials import (
     fixed_covariance,
     free_covariance,
 )

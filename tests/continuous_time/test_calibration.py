@@ -13,8 +13,7 @@ import pytest
 from decimated import Decimated, decimated, score
 
 from trajeval_ros.continuous_time.continuous_trajectory import fit_trajectory
-from trajeval_ros.continuous_time.models import DEFAULT_MODEL
-from trajeval_ros.continuous_time.samples import Noise
+from trajeval_ros.continuous_time.samples import DEFAULT_MODEL, Noise
 from trajeval_ros.geometry.trajectory import Trajectory
 
 RECORDINGS = {

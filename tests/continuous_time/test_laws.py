@@ -33,9 +33,8 @@ from trajeval_ros.continuous_time.kernels import (
     negative_log_likelihood,
 )
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations, _factors
-from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.piecewise_gp import SIZE, GPSegments, PiecewiseGP, TwoScaleGP
-from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
+from trajeval_ros.continuous_time.samples import MODELS, Belief, Noise, Samples
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.banded_matrices import BandedGaussian, Factor

@@ -26,7 +26,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import ReceiveTimes
 from trajeval_ros.metrics.discontinuities.handling import DiscontinuityRule
 from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.pipeline.outcome import RunOutcome

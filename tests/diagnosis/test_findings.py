@@ -9,7 +9,7 @@ import pytest
 from trajeval_ros.calibration.apply import Ate
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding, TestResult, Verification
-from trajeval_ros.pipeline.corrections import Corrections
+from trajeval_ros.pipeline.request import Corrections
 
 
 @pytest.mark.parametrize(

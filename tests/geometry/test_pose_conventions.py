@@ -11,7 +11,7 @@ import pytest
 from trajeval_ros import Request, run, simulate
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.pose_conventions import Conventions
-from trajeval_ros.pipeline.corrections import Corrections
+from trajeval_ros.pipeline.request import Corrections
 
 FLIGHT = simulate(seed=1, duration_s=30.0)
 

@@ -11,8 +11,7 @@ from paths import SHARED
 from ros_bags import STORE, write_messages
 
 from trajeval_ros.cli.app import app
-from trajeval_ros.io.describe import describe
-from trajeval_ros.io.known_systems import recognised
+from trajeval_ros.io.describe import describe, recognised
 
 ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"

@@ -15,8 +15,7 @@ from ros_bags import ODOM, messages_of, path_message, transforms_message
 from trajeval_ros import Trajectory, simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.hints import TextHints

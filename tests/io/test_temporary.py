@@ -16,16 +16,15 @@ from paths import ROOT
 from text_pairs import pair
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io import temporary
-from trajeval_ros.io.temporary import collect_leftovers, temporary_file, temporary_folder
-from trajeval_ros.io.writing import write_text
+from trajeval_ros.io import writing
+from trajeval_ros.io.writing import collect_leftovers, temporary_file, temporary_folder, write_text
 
 __all__ = ["pair"]  # a fixture
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="there are no locks of files")
 _WRITER = """
 import sys
 from pathlib import Path
-from trajeval_ros.io.temporary import temporary_file, temporary_folder
+from trajeval_ros.io.writing import temporary_file, temporary_folder
 folder = Path(sys.argv[1])
 with temporary_file(folder / "result.json") as file, temporary_folder("out", folder) as other:
     file.write_text("half")
@@ -36,7 +35,7 @@ with temporary_file(folder / "result.json") as file, temporary_folder("out", fol
 
 
 @contextmanager
-def writing(folder: Path) -> Iterator[subprocess.Popen[str]]:
+def another_process_writes(folder: Path) -> Iterator[subprocess.Popen[str]]:
     """Have another process write a file and a folder, and not come to an end."""
     with subprocess.Popen(
         [sys.executable, "-c", _WRITER, str(folder)],
@@ -58,7 +57,7 @@ def names(folder: Path) -> list[str]:
 
 
 def test_what_is_being_written_stays_and_what_was_killed_goes(tmp_path: Path) -> None:
-    with writing(tmp_path) as process:
+    with another_process_writes(tmp_path) as process:
         begun = names(tmp_path)
         assert [item.rpartition("-")[0] for item in begun] == [
             ".out.trajeval",
@@ -74,7 +73,7 @@ def test_what_is_being_written_stays_and_what_was_killed_goes(tmp_path: Path) ->
 
 
 def test_writing_collects_what_was_left_beside(tmp_path: Path) -> None:
-    with writing(tmp_path) as process:
+    with another_process_writes(tmp_path) as process:
         process.kill()
         process.wait()
     write_text(tmp_path / "table.csv", "1")
@@ -104,7 +103,7 @@ def test_nothing_else_is_ever_collected(tmp_path: Path) -> None:
 def test_a_folder_taken_for_left_over_before_it_was_locked_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lock = temporary.lock
+    lock = writing.lock
     taken = []
 
     def another_is_faster(file: int, *, wait: bool) -> bool:
@@ -114,7 +113,7 @@ def test_a_folder_taken_for_left_over_before_it_was_locked_is_made_again(
             path.rmdir()
         return lock(file, wait=wait)
 
-    monkeypatch.setattr(temporary, "lock", another_is_faster)
+    monkeypatch.setattr(writing, "lock", another_is_faster)
     with temporary_folder("out", tmp_path) as folder:
         assert folder.is_dir()
         assert folder.name not in taken
@@ -127,7 +126,7 @@ def test_a_disk_without_locks_is_written_to_and_nothing_is_collected(
     def unknown(*_: object, **__: object) -> bool:
         raise OSError(38, "Function not implemented")
 
-    monkeypatch.setattr(temporary, "lock", unknown)
+    monkeypatch.setattr(writing, "lock", unknown)
     left = tmp_path / ".table.csv.trajeval-01234567"
     left.touch()
     write_text(tmp_path / "table.csv", "1")
@@ -202,7 +201,7 @@ def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(
         path.mkdir()
         return os.open(path, os.O_RDONLY)
 
-    monkeypatch.setattr(temporary, "_make_folder", make)
+    monkeypatch.setattr(writing, "_make_folder", make)
     with temporary_folder("x", tmp_path) as folder:
         assert folder.is_dir()
         assert folder == made[1]

@@ -19,8 +19,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.as_available import (

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tests.metrics.test_as_available import IDENTITY, rough
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.as_available import AvailabilityRule, as_available
 from trajeval_ros.metrics.association_rule import AssociationRule

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from visual_inertial_scenes import dense_hessian, frobenius, gradient, relative
 
-from trajeval_ros.papers.gauge_covariance import fixed_covariance
+from trajeval_ros.papers.gauge_trials import fixed_covariance
 from trajeval_ros.papers.reduction import MotionMatrix, reduce_landmarks
 from trajeval_ros.papers.scene import PROFILES, make_scene
 from trajeval_ros.papers.solver import GAUGE_INDICES, GaugeHandling, solve

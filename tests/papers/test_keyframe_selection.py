@@ -12,8 +12,7 @@ from tracks_folders import PIXEL_NOISE
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
-from trajeval_ros.papers.keyframe_selection import KeyframeSelection, select
-from trajeval_ros.papers.outliers import (
+from trajeval_ros.papers.examination import (
     CHI2_LIMIT,
     TRACKER_NOISE_PX,
     _is_good,
@@ -21,6 +20,7 @@ from trajeval_ros.papers.outliers import (
     reject_outliers,
     triangulated,
 )
+from trajeval_ros.papers.keyframe_selection import KeyframeSelection, select
 from trajeval_ros.papers.sensor_recording import SAME_INSTANT_NS, SensorRecording
 from trajeval_ros.papers.tracks_folder import read_tracks_folder
 

@@ -25,7 +25,7 @@ from visual_inertial_scenes import (
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import so3
-from trajeval_ros.papers.gauge_covariance import (
+from trajeval_ros.papers.gauge_trials import (
     fixed_covariance,
     free_covariance,
     transform,
@@ -227,7 +227,7 @@ def test_refuses_scenes_that_are_none() -> None:
 def test_only_position_and_yaw_may_be_free(free: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.random.default_rng(free).normal(size=(15 - free, 15))
     reduced = SimpleNamespace(matrix=SimpleNamespace(dense=lambda: rows.T @ rows))
-    monkeypatch.setattr("trajeval_ros.papers.gauge_covariance._undamped", lambda *_: reduced)
+    monkeypatch.setattr("trajeval_ros.papers.gauge_trials._undamped", lambda *_: reduced)
     nothing: Any = None
     if free == 4:
         covariance = fixed_covariance(nothing, nothing)

@@ -14,11 +14,21 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
-from trajeval_ros.papers.examination import Examination, MeasuredScene, MeasurementModel, examine
-from trajeval_ros.papers.gauge_covariance import fixed_covariance, free_covariance
-from trajeval_ros.papers.gauge_trials import compare_handlings, covariances, sweep
+from trajeval_ros.papers.examination import (
+    Examination,
+    MeasuredScene,
+    MeasurementModel,
+    examine,
+    reject_outliers,
+)
+from trajeval_ros.papers.gauge_trials import (
+    compare_handlings,
+    covariances,
+    fixed_covariance,
+    free_covariance,
+    sweep,
+)
 from trajeval_ros.papers.keyframe_selection import select
-from trajeval_ros.papers.outliers import reject_outliers
 from trajeval_ros.papers.sensor_recording import SensorRecording
 from trajeval_ros.papers.solver import GaugeHandling
 from trajeval_ros.papers.tracks_folder import read_tracks_folder

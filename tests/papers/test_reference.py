@@ -11,7 +11,7 @@ from gauge_reference import Case
 from visual_inertial_scenes import gradient, relative, to_left
 
 from trajeval_ros.geometry import so3
-from trajeval_ros.papers.gauge_covariance import (
+from trajeval_ros.papers.gauge_trials import (
     fixed_covariance,
     free_covariance,
     transform,

@@ -27,8 +27,7 @@ from ros_processes import ODOMETRY, Peer, assert_same, evaluating, offline
 
 from trajeval_ros import Trajectory, simulate
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.io.bags.pose_messages import decode_poses, decode_transforms
 from trajeval_ros.io.live.state_file import read_states
 from trajeval_ros.metrics.as_available import AvailabilityRule

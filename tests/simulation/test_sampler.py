@@ -11,7 +11,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.banded_matrices import BandedGaussian
 from trajeval_ros.papers.flight import Sampler
-from trajeval_ros.papers.gauge_covariance import fixed_covariance
+from trajeval_ros.papers.gauge_trials import fixed_covariance
 from trajeval_ros.papers.scene import PROFILES, Scene, make_scene
 from trajeval_ros.simulation.motion import shape
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.papers.camera import Camera
 from trajeval_ros.papers.problem import Problem
+from trajeval_ros.papers.reprojection_errors import Camera
 from trajeval_ros.papers.state import State
 
 

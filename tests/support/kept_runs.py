@@ -13,8 +13,8 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.save_trajectories import write_euroc, write_tum
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.text_writer import write_euroc, write_tum
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 

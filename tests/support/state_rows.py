@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.coverage import StampedPoses

@@ -6,7 +6,7 @@ import numpy as np
 
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.papers.gauge_covariance import fixed_covariance
+from trajeval_ros.papers.gauge_trials import fixed_covariance
 from trajeval_ros.papers.problem import NormalEquations, Problem
 from trajeval_ros.papers.reduction import motion_matrix
 from trajeval_ros.papers.reprojection_errors import ReprojectionErrors

@@ -14,8 +14,7 @@ from flights import Flight, fly
 from written_trajectories import write
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.continuous_time.models import MODELS
-from trajeval_ros.continuous_time.samples import Noise
+from trajeval_ros.continuous_time.samples import MODELS, Noise
 from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.geometry.trajectory import Trajectory
 

@@ -153,7 +153,7 @@ def test_an_evaluation_imports_nothing_that_writes_folders_tables_or_styles(
             "formatting.text_tables",
             "io.live.state_file",
             "io.npz_file",
-            "io.temporary",
+            "io.writing",
         )
     }
     assert not loaded & unwanted, sorted(loaded & unwanted)

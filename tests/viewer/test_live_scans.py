@@ -13,7 +13,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
 
 from trajeval_ros.viewer.live_path import LiveRecording
-from trajeval_ros.viewer.live_scans import LiveScans
+from trajeval_ros.viewer.live_pictures import LiveScans
 from trajeval_ros.viewer.scene_entities import EstimateEntities
 
 ENTITY = "world/estimate/vio/points"

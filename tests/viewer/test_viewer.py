@@ -18,7 +18,7 @@ from state_rows import as_drawn, states, trajectory
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.remarks import Level, Remark
-from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import ReceiveTimes
 from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_available
 from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.discontinuities.events import ESTIMATE, FROZEN, Loss

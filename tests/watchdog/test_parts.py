@@ -17,10 +17,9 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.lie import running_products
-from trajeval_ros.watchdog.event_signals import EventSignals
 from trajeval_ros.watchdog.inertial_mounting import Mounting
 from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
-from trajeval_ros.watchdog.pose_signals import CorrectionSignals, SmoothSignal
+from trajeval_ros.watchdog.pose_signals import CorrectionSignals, EventSignals, SmoothSignal
 from trajeval_ros.watchdog.recording import error_spans, undetected_faults
 from trajeval_ros.watchdog.row_buffer import OrderedFeed, RowBuffer, window_begins
 from trajeval_ros.watchdog.signals import (

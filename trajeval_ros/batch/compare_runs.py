@@ -27,8 +27,7 @@ from trajeval_ros.batch.summary_tables import matrices
 from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.formatting.escaping import markdown_text, one_line
 from trajeval_ros.io.requests.settings_table import settings_of_many_runs
-from trajeval_ros.io.temporary import collect_leftovers, is_at, lock
-from trajeval_ros.io.writing import refused_by_disk, write_text
+from trajeval_ros.io.writing import collect_leftovers, is_at, lock, refused_by_disk, write_text
 from trajeval_ros.report import matrix as tables
 
 LOCK = ".compare.lock"

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.cli.chosen_sources import (
-    as_read,
-    chosen_evaluation,
-    recording_of,
-    repeated,
-    with_reasons,
-)
-from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.command import arguments, verb
 from trajeval_ros.cli.evaluation_output import refuse_inputs, write_and_print
 from trajeval_ros.cli.options import (
     OUTPUT,
@@ -25,12 +19,16 @@ from trajeval_ros.cli.options import (
     sources_of,
 )
 from trajeval_ros.cli.pictures import Pictures
-from trajeval_ros.cli.progress import read_shown
-from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.cli.progress import progress, read_shown
+from trajeval_ros.exceptions import InputError, SettingsError, require_one_of
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Level, note
+from trajeval_ros.geometry.source_info import ASSUMED
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import EVALUATE
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.source_names import names_with, split_name
+from trajeval_ros.io.sources import BAG_ENDINGS, parse_source
 from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.report.definitions import RELATIVE_STATISTICS
@@ -38,6 +36,7 @@ from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.io.roles import LikelyEvaluation
 
 _GAUGES = ("gauge", "modality", "protocol")  # settings that state a gauge
 _PARAMETERS = (
@@ -124,9 +123,9 @@ def evaluate(
     """
     chosen = None
     recorded: dict[str, Trajectory] = {}
-    if recording := recording_of(by_position, groundtruth, estimate):
+    if recording := _recording_of(by_position, groundtruth, estimate):
         is_gauge_given = any(settings[name] for name in _GAUGES)
-        chosen = chosen_evaluation(recording, recorded, is_gauge_given=is_gauge_given)
+        chosen = _chosen_evaluation(recording, recorded, is_gauge_given=is_gauge_given)
         by_position, groundtruth, estimate = (), chosen.groundtruth, chosen.estimates
         settings["modality"] = chosen.modality or settings["modality"]
     request = request_from(settings)
@@ -149,7 +148,7 @@ def evaluate(
     flags = [request.reads_groundtruth_covariances, *flags]
     is_read = all(source in recorded for source in sources)
     if is_read and not (strict or request.received or columns or frame_rate or any(flags)):
-        reference, *estimates = as_read(recorded, sources, names)
+        reference, *estimates = _as_read(recorded, sources, names)
     else:
         reference, *estimates = read_shown(
             sources,
@@ -162,7 +161,7 @@ def evaluate(
     recorded.clear()  # the other topics
     require_used(list(zip(every_hint, [reference, *estimates], strict=True)))
     if chosen is not None:
-        reference = with_reasons(reference, chosen)
+        reference = _with_reasons(reference, chosen)
     outcome = run(reference, estimates, request)
     write_and_print(
         outcome,
@@ -175,5 +174,85 @@ def evaluate(
         pictures=pictures,
         mcap=mcap,
         look=look,
-        repeat=repeated(chosen, recording) if chosen else "",
+        repeat=_repeated(chosen, recording) if chosen else "",
     )
+
+
+def _recording_of(by_position: Sequence[str], *named: object) -> str:
+    """Return the only source of a command if it is a bag, a log or a folder; "" otherwise.
+
+    A missing or damaged file with the ending of a bag or log is one, so its reader states why.
+    """
+    if len(by_position) != 1 or any(named):
+        return ""
+    path = Path(by_position[0])
+    if path.is_dir() or path.suffix in (".ulg", *BAG_ENDINGS):
+        return by_position[0]
+    is_bag = path.is_file() and parse_source(by_position[0]).is_bag
+    return by_position[0] if is_bag else ""
+
+
+def _chosen_evaluation(
+    recording: str, read: dict[str, Trajectory], *, is_gauge_given: bool
+) -> LikelyEvaluation:
+    """Return the likely evaluation of a recording; `read` receives its trajectories by SOURCE.
+
+    Raises:
+        InputError: No groundtruth or no estimate is likely, or two evaluations are equally likely.
+    """
+    import shlex
+
+    from trajeval_ros.io.roles import describe_all, likely_evaluations
+    from trajeval_ros.report.console import console
+
+    with progress(f"searching {recording}") as advance:
+        description = describe_all(Path(recording), read, advance)
+    likely = likely_evaluations(description, has_one_gauge=is_gauge_given)
+    if len(likely) == 1 and likely[0].groundtruth:
+        return likely[0]
+    if not likely:
+        look = f"trajeval info {shlex.quote(recording)}"
+        damage = [f"; {item.text}" for item in description.remarks if item.level is Level.ERROR]
+        raise InputError(
+            f"{recording} has no two likely sides; list its topics: {look}{''.join(damage)}"
+        )
+    commands = [evaluation.command() for evaluation in likely]
+    if not likely[0].groundtruth:
+        raise InputError(f"{recording} has no likely groundtruth; name it: {commands[0]}")
+    for command in commands:
+        console().print(command, soft_wrap=True)
+    raise InputError(
+        f"{recording} has {counted(len(likely), 'likely evaluation')}, so none is calculated; "
+        "call one of these commands"
+    )
+
+
+def _as_read(
+    read: Mapping[str, Trajectory], sources: Sequence[str], names: Sequence[str]
+) -> list[Trajectory]:
+    """Return trajectories of the search as reading them again without covariances does."""
+    return [
+        dataclasses.replace(
+            read[source],
+            name=name,
+            reading=dataclasses.replace(read[source].reading, source=source),
+        )
+        for source, name in zip(sources, names, strict=True)
+    ]
+
+
+def _with_reasons(groundtruth: Trajectory, chosen: LikelyEvaluation) -> Trajectory:
+    """Return the groundtruth with a note for every choice."""
+    notes = tuple(note(ASSUMED, reason) for reason in chosen.reasons)
+    reading = groundtruth.reading
+    reading = dataclasses.replace(reading, remarks=(*reading.remarks, *notes))
+    return dataclasses.replace(groundtruth, reading=reading)
+
+
+def _repeated(chosen: LikelyEvaluation, recording: str) -> str:
+    """Return the command with sources and sensors in place of the recording."""
+    import shlex
+
+    given = [word for word in arguments() if word != recording]
+    command = dataclasses.replace(chosen, options="").command()
+    return " ".join([command, *map(shlex.quote, given)])

@@ -13,8 +13,7 @@ from trajeval_ros.formatting.install_command import extra_command, pyarrow_comma
 from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.live.state_file import SUFFIX
 from trajeval_ros.io.results.error_archive import ARCHIVE, TABLE, error_files
-from trajeval_ros.io.temporary import collect_leftovers, temporary_folder
-from trajeval_ros.io.writing import refused_by_disk
+from trajeval_ros.io.writing import collect_leftovers, refused_by_disk, temporary_folder
 from trajeval_ros.pipeline.outcome import Outcome
 from trajeval_ros.report.canvas import Drawing
 from trajeval_ros.report.figure_output import save_all

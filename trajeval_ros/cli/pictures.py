@@ -39,7 +39,7 @@ class Pictures:
         if self.rrd is not None:
             show(self.rrd)
             return
-        from trajeval_ros.io.temporary import temporary_folder
+        from trajeval_ros.io.writing import temporary_folder
 
         with temporary_folder("picture") as folder:
             made = folder / PICTURE

@@ -148,7 +148,7 @@ def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]
 
 
 def _run(arguments: Sequence[str]) -> int:
-    from trajeval_ros.ros.evaluator_help import HELP
+    from trajeval_ros.ros.parameter_table import HELP
 
     words, ros_arguments = split_ros_arguments(arguments)
     if words in (["--help"], ["-h"]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.temporary import temporary_folder
+from trajeval_ros.io.writing import temporary_folder
 
 GROUNDTRUTH_TOPIC = "/groundtruth/pose"
 ESTIMATE_TOPIC = "/vio/odometry"

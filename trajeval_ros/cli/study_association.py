@@ -12,7 +12,7 @@ from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import STUDY_ASSOCIATION, option, shared_options
 from trajeval_ros.cli.programs import write_json
 from trajeval_ros.cli.progress import read_shown, report_dropped
-from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
+from trajeval_ros.continuous_time.samples import DEFAULT_MODEL, MODELS
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.requests.setting import two_numbers

@@ -10,7 +10,7 @@ from trajeval_ros.cli.pictures import PICTURE
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.live.state_file import SUFFIX
-from trajeval_ros.io.temporary import temporary_folder
+from trajeval_ros.io.writing import temporary_folder
 
 _PARAMETERS = (
     argument("result", kind=Path, metavar="RESULT",

@@ -22,8 +22,7 @@ from trajeval_ros.consistency.consistency_result import (
     sigmas_of,
     verdict_of,
 )
-from trajeval_ros.consistency.constant_covariances import constant_covariances
-from trajeval_ros.consistency.covariance_request import CovarianceRequest
+from trajeval_ros.consistency.covariance_request import CovarianceRequest, constant_covariances
 from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.consistency.nees import (
     chi_square_band,

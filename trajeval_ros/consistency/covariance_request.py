@@ -1,4 +1,7 @@
-"""Requests for tests of covariances: consistency, and protection levels (integrity)."""
+"""Requests for tests of covariances: consistency, and protection levels (integrity).
+
+A constant covariance is no estimate.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.joint_covariance import JointCovariance
@@ -16,6 +20,7 @@ if TYPE_CHECKING:
 
 SOURCES = ("none", "message", "joint")
 FRAMES = ("world", "body")
+_FEWEST_CONSTANT = 10  # equal covariances
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,3 +125,17 @@ class IntegrityRequest:
             )
         if not 0.0 < self.risk < 1.0:
             raise SettingsError(f"the risk must be a probability such as 1e-5, not {self.risk:g}")
+
+
+def constant_covariances(covariances: Floats) -> str:
+    """Return that covariances (N, 6, 6) are constant, so no estimates; empty if they vary.
+
+    The first pose can have another one.
+    """
+    if len(covariances) <= _FEWEST_CONSTANT or (covariances[1:] != covariances[1]).any():
+        return ""
+    variances = covariances[1].diagonal()
+    return (
+        f"all are equal ({variances[:3].mean():.3g} m^2, {variances[3:].mean():.3g} rad^2): a "
+        "constant that the estimator publishes as a placeholder"
+    )

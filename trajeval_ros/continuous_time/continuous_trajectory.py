@@ -13,9 +13,15 @@ from numpy.typing import NDArray
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Interpolator, Process
-from trajeval_ros.continuous_time.models import CANDIDATES, DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.piecewise_gp import MOST_TURN_RAD, PiecewiseGP, TwoScaleGP
-from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
+from trajeval_ros.continuous_time.samples import (
+    CANDIDATES,
+    DEFAULT_MODEL,
+    MODELS,
+    Belief,
+    Noise,
+    Samples,
+)
 from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, se3

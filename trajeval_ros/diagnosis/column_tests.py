@@ -18,7 +18,7 @@ from trajeval_ros.diagnosis.input_pair import (
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents, lengths
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.rotation_fit import best_rotations
+from trajeval_ros.geometry.so3 import best_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.trajectory_edits import evenly, every_nth
 from trajeval_ros.metrics.statistics import median

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.consistency.constant_covariances import constant_covariances
+from trajeval_ros.consistency.covariance_request import constant_covariances
 from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.formatting.numbers import counted

@@ -35,7 +35,7 @@ from trajeval_ros.diagnosis.hypotheses import (
 from trajeval_ros.diagnosis.short_motions import PoseEnds, ShortMotions
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, lengths
-from trajeval_ros.geometry.rotation_fit import best_rotations
+from trajeval_ros.geometry.so3 import best_rotations
 from trajeval_ros.metrics.statistics import median
 
 DEGREES_OF_FREEDOM = 4.0  # of the residuals: outliers count little, and noise as with a Gaussian

@@ -1,4 +1,4 @@
-"""Batched rotation matrices and vectors: exponential, logarithm and Jacobians of SO(3).
+"""Batched rotation matrices and vectors: exponential, logarithm, Jacobians and best fits in SO(3).
 
 Series replace the closed forms where these cancel.
 """
@@ -112,3 +112,15 @@ def _rodrigues(rotation_vector: Floats) -> tuple[Floats, Floats, Floats]:
         (t - np.sin(t)) / t**3,
     )
     return sine, cosine, remainder
+
+
+def best_rotations(moments: Floats) -> tuple[Floats, Floats]:
+    """Return the largest trace of W^T H over rotations W (...), and W (..., 3, 3), by moment H.
+
+    With H = sum a b^T, W minimises sum |a - W b|^2 (Kabsch, 1976). `moments`: (..., 3, 3).
+    """
+    u, sizes, vt = np.linalg.svd(moments)
+    sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    flipped = u.copy()
+    flipped[..., :, 2] *= sign[..., None]
+    return sizes[..., 0] + sizes[..., 1] + sign * sizes[..., 2], flipped @ vt

@@ -364,7 +364,7 @@ def _local_file(path: Any) -> Iterator[Path]:
     if isinstance(path, Path) and (path.is_file() or path.is_dir()):
         yield path
         return
-    from trajeval_ros.io.temporary import temporary_folder
+    from trajeval_ros.io.writing import temporary_folder
 
     with temporary_folder("copy") as folder:
         copy = folder / path.name

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
-from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
-from trajeval_ros.continuous_time.samples import Belief, Noise
+from trajeval_ros.continuous_time.samples import WITHOUT_UNCERTAINTY, Belief, Noise
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, se3

@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 
-from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
-from trajeval_ros.continuous_time.samples import Noise
+from trajeval_ros.continuous_time.samples import DEFAULT_MODEL, MODELS, Noise
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry.arrays import Booleans, Stamps
 from trajeval_ros.geometry.interpolation import Bracket

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Booleans
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.as_available import Availability, AvailabilityRule, usable_messages

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Indices, Stamps
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.geometry.valid_poses import count_up

@@ -14,8 +14,8 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, at_r
 from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.papers.camera import Camera
 from trajeval_ros.papers.problem import Problem
+from trajeval_ros.papers.reprojection_errors import Camera
 from trajeval_ros.papers.sensor_recording import SAME_INSTANT_NS, SensorRecording, at_instants
 from trajeval_ros.papers.state import State
 from trajeval_ros.papers.visibility import FEWEST_VIEWS

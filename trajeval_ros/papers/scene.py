@@ -11,8 +11,8 @@ from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError, requ
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise, preintegrate
-from trajeval_ros.papers.camera import Camera
 from trajeval_ros.papers.problem import Problem
+from trajeval_ros.papers.reprojection_errors import Camera
 from trajeval_ros.papers.state import State, initial_state
 from trajeval_ros.papers.visibility import FEWEST_VIEWS
 from trajeval_ros.simulation.motion import Motion

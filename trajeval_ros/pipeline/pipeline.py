@@ -25,23 +25,23 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.receive_clock import judged_receive_times
 from trajeval_ros.metrics.states_table import states_table
 from trajeval_ros.metrics.stream_health import UNKNOWN, StreamHealth, health_of
-from trajeval_ros.pipeline.corrections import finding_to_correct
 from trajeval_ros.pipeline.diagnosing import diagnosed, explained, reevaluation
 from trajeval_ros.pipeline.measurement import measured
-from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
+from trajeval_ros.pipeline.outcome import (
+    Outcome,
+    RunOutcome,
+    with_bayes_factors,
+    with_noise_corrected_ates,
+    with_remarks,
+    with_same_estimates_named,
+)
 from trajeval_ros.pipeline.preparation import (
     Inputs,
     corrected_and_cut,
     named,
     with_fixes_placed,
 )
-from trajeval_ros.pipeline.request import Request
-from trajeval_ros.pipeline.several_runs import (
-    with_bayes_factors,
-    with_noise_corrected_ates,
-    with_remarks,
-    with_same_estimates_named,
-)
+from trajeval_ros.pipeline.request import Request, finding_to_correct
 
 _MOST_CORRECTIONS = 4
 

@@ -10,10 +10,9 @@ from trajeval_ros.formatting.text_tables import BOLD
 from trajeval_ros.geometry.source_info import ASSUMED, ASSUMED_COLUMNS, FORMAT
 from trajeval_ros.metrics.discontinuities.handling import SPLIT
 from trajeval_ros.pipeline.evaluation_remarks import SCALE_DRIFT
-from trajeval_ros.report import consistency_lines, tables
-from trajeval_ros.report.available_lines import available_lines, stream_line
-from trajeval_ros.report.calibration_lines import calibration_lines
+from trajeval_ros.report import requested_lines, tables
 from trajeval_ros.report.console import WARNING, Console, Table, show
+from trajeval_ros.report.requested_lines import available_lines, calibration_lines, stream_line
 from trajeval_ros.report.verdict_lines import (
     definitions,
     diagnosis_lines,
@@ -75,7 +74,7 @@ def print_tables(terminal: Console, outcome: Outcome, statistic: str = "") -> No
         if run.calibrated is not None:
             _print_titled(terminal, calibration_lines(name, run.calibrated))
         if run.consistency is not None:
-            _print_titled(terminal, consistency_lines.consistency_lines(name, run.consistency))
+            _print_titled(terminal, requested_lines.consistency_lines(name, run.consistency))
     _print_integrity(terminal, outcome.runs)
 
 
@@ -164,12 +163,12 @@ def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:
     if not asked:
         return
 
-    table = Table("", consistency_lines.INTEGRITY_WORDS, consistency_lines.INTEGRITY_NUMBERS)
+    table = Table("", requested_lines.INTEGRITY_WORDS, requested_lines.INTEGRITY_NUMBERS)
     for name, integrity in asked.items():
-        for row in consistency_lines.integrity_rows(name, integrity):
+        for row in requested_lines.integrity_rows(name, integrity):
             table.add(row)
     terminal.print()
     show(terminal, table)
     for name, integrity in asked.items():
-        for line in consistency_lines.integrity_lines(name, integrity):
+        for line in requested_lines.integrity_lines(name, integrity):
             terminal.print(line, soft_wrap=True)

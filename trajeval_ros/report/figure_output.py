@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import latex_text, one_line
-from trajeval_ros.io.temporary import temporary_folder
-from trajeval_ros.io.writing import refused_by_disk
+from trajeval_ros.io.writing import refused_by_disk, temporary_folder
 from trajeval_ros.report.canvas import Drawing, grow
 from trajeval_ros.report.figure_style import TEX_SYSTEMS, FigureStyle, apply_style
 

@@ -11,8 +11,7 @@ from typing import Any
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt

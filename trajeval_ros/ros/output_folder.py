@@ -15,7 +15,7 @@ from datetime import datetime
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError, reason_of
-from trajeval_ros.io.temporary import collect_leftovers
+from trajeval_ros.io.writing import collect_leftovers
 
 MOST_SHARE = 0.05  # of a core, for periodic saving
 _NICE = 10

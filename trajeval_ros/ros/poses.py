@@ -13,8 +13,7 @@ from trajeval_ros.geometry.arrays import Indices, Stamps
 from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.outlier_stamps import LONE, NEAR_NS, OutlierStamps, trusted_states
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import FORMAT, DeclaredReset, SourceInfo
+from trajeval_ros.geometry.source_info import FORMAT, DeclaredReset, ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts, in_words, valid_mask

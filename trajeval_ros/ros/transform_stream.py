@@ -12,8 +12,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.arrays import Indices, Stamps
 from trajeval_ros.geometry.outlier_stamps import LONE, NEAR_NS, OutlierStamps
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import FORMAT, SourceInfo
+from trajeval_ros.geometry.source_info import FORMAT, ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
 from trajeval_ros.io.bags.received_transforms import TRANSFORM, ReceivedChain, transforms_of

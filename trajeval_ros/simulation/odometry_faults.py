@@ -14,7 +14,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.receive_times import LOG, ReceiveTimes
+from trajeval_ros.geometry.source_info import LOG, ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 

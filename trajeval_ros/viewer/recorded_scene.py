@@ -33,8 +33,8 @@ from trajeval_ros.viewer.paths import (
     size_of,
     spread,
 )
-from trajeval_ros.viewer.recording_file import recording_writer
 from trajeval_ros.viewer.recording_properties import send_of_evaluations
+from trajeval_ros.viewer.sinks import recording_writer
 from trajeval_ros.viewer.state_lanes import send_fixes, send_gaps
 
 _MOST_POINTS = 50_000  # of a path

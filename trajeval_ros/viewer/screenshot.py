@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.temporary import temporary_folder
-from trajeval_ros.io.writing import write_whole
+from trajeval_ros.io.writing import temporary_folder, write_whole
 from trajeval_ros.viewer.program import free_port, require_recording, rerun_program
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.sinks import LOOPBACK

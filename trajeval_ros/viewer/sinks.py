@@ -3,25 +3,84 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import socket
+from collections.abc import Callable
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError, SettingsError, reason_of
-from trajeval_ros.viewer.recording_file import flush_to, open_file
 from trajeval_ros.viewer.scene_entities import APPLICATION
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.stream import Sink
 
+_LEAST_ROOM, _LITTLE_ROOM = 2**16, 2**20  # bytes
 LOOPBACK = "127.0.0.1"
 _ALL_ADDRESSES = ("0.0.0.0", "::")
 PORT = 9876
 _FILE_FLUSH_S = 20.0
 _SERVER_MEMORY = "512MB"
 _PROBE_S = 0.3
+
+
+def open_file(recording: Any, path: Path, blueprint: Any, *, write_footer: bool = True) -> None:
+    """Write a recording to a file from now on."""
+    rerun, _ = sdk()
+    _require_room(path)
+    sink = rerun.FileSink(str(path), write_footer=write_footer)
+    recording.set_sinks(sink, default_blueprint=blueprint)
+
+
+def flush_to(path: Path, recording: Any) -> None:
+    """Flush a recording to its file."""
+    try:
+        recording.flush()
+    except RuntimeError as error:
+        if _room(path) < _LITTLE_ROOM:
+            raise _no_space() from error
+        raise OSError(str(error)) from error
+    _require_room(path)  # on a nearly full disk, flush may drop data without an error
+
+
+def _require_room(path: Path, least: int = _LEAST_ROOM) -> None:
+    """Check that the disk has room for a few chunks, or for a number of bytes."""
+    if _room(path) < least:
+        raise _no_space()
+
+
+def _room(path: Path) -> int:
+    """Return the free bytes of the disk."""
+    disk = os.statvfs(path.parent)
+    return disk.f_bavail * disk.f_frsize
+
+
+def _no_space() -> OSError:
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def recording_writer(
+    title: str, blueprint: Any, draw: Callable[[Any], object]
+) -> Callable[[Path], None]:
+    """Return a function that writes a picture to a path, and raises OSError on a full disk."""
+    rerun, _ = sdk()
+
+    def write(path: Path) -> None:
+        # Without room for a complete recording, its writer can wait without end.
+        _require_room(path, _LITTLE_ROOM)
+        recording = rerun.RecordingStream(APPLICATION)
+        recording.set_log_time_enabled(False)
+        open_file(recording, path, blueprint)
+        try:
+            recording.send_recording_name(title)
+            draw(recording)
+            flush_to(path, recording)
+        finally:
+            recording.disconnect()
+
+    return write
 
 
 class FileTarget:

@@ -20,8 +20,8 @@ from trajeval_ros.viewer.blueprint import (
     with_panels,
 )
 from trajeval_ros.viewer.paths import gaps, origin_for, peaks, pieces, spread
-from trajeval_ros.viewer.recording_file import recording_writer
 from trajeval_ros.viewer.sdk import sdk
+from trajeval_ros.viewer.sinks import recording_writer
 from trajeval_ros.viewer.state_lanes import ERROR, OK, WARNING, send_lane
 from trajeval_ros.watchdog.recording import Watched
 from trajeval_ros.watchdog.signals import signal_of

@@ -17,11 +17,10 @@ from trajeval_ros.geometry.arrays import Floats, Stamps, lengths
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.one_stream import KnownEvent
-from trajeval_ros.watchdog.event_signals import EventSignals
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
 from trajeval_ros.watchdog.inertial_signals import InertialSignals
 from trajeval_ros.watchdog.pair_signals import PairSignals
-from trajeval_ros.watchdog.pose_signals import CorrectionSignals, SmoothSignal
+from trajeval_ros.watchdog.pose_signals import CorrectionSignals, EventSignals, SmoothSignal
 from trajeval_ros.watchdog.row_buffer import (
     POSE_WIDTH,
     POSITION,

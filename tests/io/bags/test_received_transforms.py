@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from strategies import seeds
 
-from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.received_transforms import (
     ReceivedChain,

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.text_writer import (
+from trajeval_ros.io.save_trajectories import (
     _integers,
     _rows_of_floats,
     _seconds,
     write_euroc,
     write_tum,
 )
+from trajeval_ros.io.sources import read_trajectory
 
 stamps = arrays.arrays(np.int64, st.integers(1, 30), elements=st.integers(-(2**63), 2**63 - 1))
 

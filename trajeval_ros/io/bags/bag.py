@@ -24,7 +24,7 @@ from trajeval_ros.io.bags.blocks import Block, TopicSelection, in_order, merged
 from trajeval_ros.io.bags.containers import Container, Topic, TopicReading, open_file
 from trajeval_ros.io.bags.message_definitions import Connection
 from trajeval_ros.io.checks import nearest
-from trajeval_ros.io.temporary import temporary_folder
+from trajeval_ros.io.writing import temporary_folder
 
 Advance = Callable[[int, int], None]
 Key = tuple[int, int]  # which file, and which of its connections

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Floats, at_rows
-from trajeval_ros.geometry.receive_times import ReceiveTimes
+from trajeval_ros.geometry.source_info import ReceiveTimes
 from trajeval_ros.geometry.valid_poses import add_counts
 
 Frames = tuple[int, str, str]  # first row, frame and child frame

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.outlier_stamps import OutlierStamps
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import valid_mask
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, Way, compose

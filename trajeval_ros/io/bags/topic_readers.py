@@ -10,7 +10,7 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.outlier_stamps import trusted_states
-from trajeval_ros.geometry.receive_times import LOG, ReceiveTimes
+from trajeval_ros.geometry.source_info import LOG, ReceiveTimes
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import Block

@@ -21,8 +21,7 @@ from trajeval_ros.io.bags.encode_messages import (
     encode_transforms,
 )
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE, PATH_TYPE
-from trajeval_ros.io.temporary import temporary_folder
-from trajeval_ros.io.writing import refused_by_disk
+from trajeval_ros.io.writing import refused_by_disk, temporary_folder
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"

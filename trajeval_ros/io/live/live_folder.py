@@ -25,8 +25,7 @@ from trajeval_ros.formatting.remarks import Remark, remark_of, warning
 from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.fix_selection import FixRule, trajectory_of_rows
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import DeclaredReset, SourceInfo
+from trajeval_ros.geometry.source_info import DeclaredReset, ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts
@@ -48,10 +47,15 @@ from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import received_poses
-from trajeval_ros.pipeline.outcome import FailedRun, Outcome, RunOutcome
+from trajeval_ros.pipeline.outcome import (
+    FailedRun,
+    Outcome,
+    RunOutcome,
+    with_noise_corrected_ates,
+    with_same_estimates_named,
+)
 from trajeval_ros.pipeline.pipeline import run_alone
 from trajeval_ros.pipeline.request import Request
-from trajeval_ros.pipeline.several_runs import with_noise_corrected_ates, with_same_estimates_named
 
 
 @dataclass(frozen=True, eq=False)

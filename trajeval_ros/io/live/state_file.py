@@ -23,8 +23,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import install_command
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import SourceInfo
+from trajeval_ros.geometry.source_info import ReceiveTimes, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 from trajeval_ros.metrics.stream_health import UNKNOWN

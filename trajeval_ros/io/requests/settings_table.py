@@ -14,8 +14,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.consistency.covariance_request import FRAMES, IntegrityRequest
-from trajeval_ros.continuous_time.models import MODELS
-from trajeval_ros.continuous_time.samples import Noise
+from trajeval_ros.continuous_time.samples import MODELS, Noise
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
 from trajeval_ros.geometry.geodesy import parse_datum
 from trajeval_ros.geometry.trajectory import NANOSECONDS

@@ -30,10 +30,12 @@ from trajeval_ros.io.text.header_patterns import (
     POSSIBLE,
     QUANTITY,
     SETS,
+    TIME_NAME,
+    UNIT_OF_WORD,
     WEEK_NAMES,
     entries,
+    name_and_unit,
 )
-from trajeval_ros.io.text.header_words import TIME_NAME, UNIT_OF_WORD, name_and_unit
 from trajeval_ros.io.text.layouts import ORDERS, examples, quaternion_in, with_names
 from trajeval_ros.io.text.names import (
     CLOCK,

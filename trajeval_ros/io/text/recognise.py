@@ -11,8 +11,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.text.header_names import from_header
-from trajeval_ros.io.text.header_patterns import count_of_pose
-from trajeval_ros.io.text.header_words import UNIT_OF_WORD, split_header
+from trajeval_ros.io.text.header_patterns import UNIT_OF_WORD, count_of_pose, split_header
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, options_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, WEEK, Layout
 from trajeval_ros.io.text.stamps import is_date, is_time_of_day, moment

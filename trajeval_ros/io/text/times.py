@@ -15,10 +15,9 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note, warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receive_times import ReceiveTimes
-from trajeval_ros.geometry.source_info import ASSUMED_COLUMNS, FRAMES_FROM_1
+from trajeval_ros.geometry.source_info import ASSUMED_COLUMNS, FRAMES_FROM_1, ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.text.header_words import name_and_unit, split_header
+from trajeval_ros.io.text.header_patterns import name_and_unit, split_header
 from trajeval_ros.io.text.names import (
     AS_NAMED,
     CLOCK,
