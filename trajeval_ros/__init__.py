@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.alignment import align
     from trajeval_ros.metrics.association_rule import AssociationRule
     from trajeval_ros.metrics.evaluation import Evaluation
-    from trajeval_ros.metrics.named_protocols import PROTOCOLS
-    from trajeval_ros.metrics.protocol import Protocol
+    from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
     from trajeval_ros.metrics.statistics import Statistics
     from trajeval_ros.metrics.sub_trajectories import Length
     from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -118,7 +117,7 @@ _HOMES = {
     "OnlineEvaluator": "online.evaluator",
     "OnlineSettings": "online.live_settings",
     "Outcome": "pipeline.outcome",
-    "PROTOCOLS": "metrics.named_protocols",
+    "PROTOCOLS": "metrics.protocol",
     "Protocol": "metrics.protocol",
     "Request": "pipeline.request",
     "RunOutcome": "pipeline.outcome",

@@ -20,7 +20,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.io.results.calibration_json import calibration_json
+from trajeval_ros.io.results.requested_json import calibration_json
 from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.pipeline import evaluate

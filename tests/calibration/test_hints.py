@@ -19,8 +19,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association_rule import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 from trajeval_ros.pipeline.pipeline import evaluate, run
 from trajeval_ros.pipeline.request import Request
 

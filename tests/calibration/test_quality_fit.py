@@ -19,7 +19,7 @@ from trajeval_ros.calibration.groundtruth_quality.repair import repaired
 from trajeval_ros.calibration.groundtruth_quality.rig import LEVER, OFFSET
 from trajeval_ros.calibration.groundtruth_quality.sample_checks import PoseSpan
 from trajeval_ros.calibration.groundtruth_quality.sample_rows import SampleRows, rig_at
-from trajeval_ros.geometry.preintegration import ImuNoise
+from trajeval_ros.geometry.inertial import ImuNoise
 from trajeval_ros.geometry.trajectory import Trajectory
 
 

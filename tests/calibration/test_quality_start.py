@@ -43,7 +43,7 @@ def test_steps_of_an_imu_that_are_doubtful() -> None:
 
 
 def rig_noise() -> Any:
-    from trajeval_ros.geometry.preintegration import ImuNoise
+    from trajeval_ros.geometry.inertial import ImuNoise
 
     return ImuNoise(1e-3, 1e-2)
 

@@ -19,7 +19,7 @@ from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.metrics.association_rule import AssociationRule
-from trajeval_ros.metrics.named_protocols import protocol_named
+from trajeval_ros.metrics.protocol import protocol_named
 from trajeval_ros.pipeline.diagnosing import diagnose
 from trajeval_ros.pipeline.pipeline import evaluate
 

@@ -23,7 +23,7 @@ from trajeval_ros.explanation.definition import ASSOCIATIONS, Definition
 from trajeval_ros.explanation.definition_values import values_of
 from trajeval_ros.explanation.explain import UNITS, Explanation, PublishedNumber
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import PROTOCOLS
 
 ALIGNED = {
     "": "none", " -a": "se3", " -as": "sim3", " --align_origin": "se3 by the first state",

@@ -22,9 +22,8 @@ from trajeval_ros.geometry.gauge import (
     least_squares_normals,
     orbit_basis,
 )
-from trajeval_ros.geometry.inertial import rotations_by_gyro
+from trajeval_ros.geometry.inertial import ImuNoise, preintegrate, rotations_by_gyro
 from trajeval_ros.geometry.marker import HandEye, at_arms
-from trajeval_ros.geometry.preintegration import ImuNoise, preintegrate
 
 Array = NDArray[np.float64]
 # On both sides of the angles at which series replace closed forms: sqrt(1e-3), 0.1 and 0.2 rad.

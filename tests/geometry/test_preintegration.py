@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry import so3
-from trajeval_ros.geometry.preintegration import ImuNoise, preintegrate
+from trajeval_ros.geometry.inertial import ImuNoise, preintegrate
 
 
 def test_preintegrated_motion_follows_the_biases_to_first_order() -> None:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.io.checks import check_rotations
+from trajeval_ros.io.checks import check_rotations, require_known
 from trajeval_ros.io.hand_eye_file import (
     hand_eye_json,
     hand_eye_of,
@@ -26,7 +26,7 @@ from trajeval_ros.io.hand_eye_file import (
 )
 from trajeval_ros.io.json_file import json_text, mapping_in, require_schema
 from trajeval_ros.io.npz_file import read_arrays, write_arrays
-from trajeval_ros.io.yaml_file import read_mapping, require_known
+from trajeval_ros.io.yaml_file import read_mapping
 
 
 def test_the_largest_deviation_of_a_length_is_told() -> None:

@@ -11,8 +11,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.io.requests.request_from import protocol_from
 from trajeval_ros.metrics.association_rule import AssociationRule
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres
 from trajeval_ros.metrics.sub_trajectories import Length, Selection
 
 

@@ -14,8 +14,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics import relative_evaluation
 from trajeval_ros.metrics.absolute_errors import absolute_errors
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres
 from trajeval_ros.metrics.relative_errors import relative_errors
 from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.report.verdict_lines import verdict

@@ -18,7 +18,7 @@ from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association_rule import AssociationRule
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import PROTOCOLS
 from trajeval_ros.metrics.sub_trajectories import Length, Selection
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from trajeval_ros.formatting.remarks import Remark, warning
-from trajeval_ros.online.repeated_remarks import RepeatedRemarks
+from trajeval_ros.ros.status_topics import RepeatedRemarks
 
 
 def jump(number: int, subject: str = "") -> Remark:

@@ -15,7 +15,7 @@ from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.metrics.absolute_errors import absolute_errors
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import PROTOCOLS
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings

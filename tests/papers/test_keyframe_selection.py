@@ -11,7 +11,7 @@ from tracks_folders import PIXEL_NOISE
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
-from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
+from trajeval_ros.geometry.inertial import GRAVITY, ImuNoise
 from trajeval_ros.papers.examination import (
     CHI2_LIMIT,
     TRACKER_NOISE_PX,

@@ -13,7 +13,7 @@ from tracks_folders import write_tracks_folder
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
+from trajeval_ros.geometry.inertial import GRAVITY, ImuNoise
 from trajeval_ros.papers.examination import (
     Examination,
     MeasuredScene,

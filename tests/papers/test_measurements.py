@@ -18,7 +18,7 @@ from visual_inertial_scenes import (
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import so3
-from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise, preintegrate
+from trajeval_ros.geometry.inertial import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.papers.problem import Problem
 from trajeval_ros.papers.reprojection_errors import Camera
 from trajeval_ros.papers.scene import PROFILES, Scene, make_scene

@@ -19,7 +19,7 @@ from tracks_folders import (
 )
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
+from trajeval_ros.geometry.inertial import GRAVITY, ImuNoise
 from trajeval_ros.papers.examination import Examination, MeasurementModel, examine
 from trajeval_ros.papers.gauge_trials import compare_handlings, covariances
 from trajeval_ros.papers.keyframe_selection import select

@@ -31,7 +31,7 @@ from trajeval_ros.batch.comparison_summary import summary_of
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.finished_results import FinishedResults
 from trajeval_ros.cli.app import main
-from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
+from trajeval_ros.geometry.inertial import GRAVITY, ImuNoise
 from trajeval_ros.io.hand_eye_file import read_similarity
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.papers.keyframe_selection import select

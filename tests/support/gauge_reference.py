@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.geometry import so3
-from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preintegrate
+from trajeval_ros.geometry.inertial import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.papers.problem import Problem
 from trajeval_ros.papers.reprojection_errors import Camera

@@ -11,7 +11,7 @@ from trajeval_ros.calibration.groundtruth_quality.inertial_steps import ImuSecon
 from trajeval_ros.calibration.groundtruth_quality.joint_fit import Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_quality.rig import Rig
 from trajeval_ros.calibration.groundtruth_quality.sample_rows import TruthSamples, rig_at
-from trajeval_ros.geometry.preintegration import ImuNoise
+from trajeval_ros.geometry.inertial import ImuNoise
 
 NOISE = ImuNoise(2e-3, 2e-2)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.preintegration import GRAVITY
+from trajeval_ros.geometry.inertial import GRAVITY
 from trajeval_ros.papers.scene import IMU_RATE_HZ, PROFILES, make_scene
 from trajeval_ros.papers.sensor_recording import Lens
 from trajeval_ros.simulation.motion import shape

@@ -30,8 +30,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.requests.request_from import read_protocol
 from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association_rule import AssociationRule
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres
 from trajeval_ros.metrics.relative_errors import align_spans
 from trajeval_ros.metrics.score import PointTable
 from trajeval_ros.metrics.sub_trajectories import Length, Selection

@@ -22,8 +22,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.pipeline import evaluate
 

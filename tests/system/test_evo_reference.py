@@ -10,7 +10,7 @@ import pytest
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import PROTOCOLS
 from trajeval_ros.pipeline.pipeline import evaluate
 
 Recording = Callable[[str], Trajectory]

@@ -16,8 +16,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import metres
+from trajeval_ros.metrics.protocol import PROTOCOLS, metres
 from trajeval_ros.pipeline.pipeline import evaluate
 
 LENGTHS = (100, 200, 300, 400, 500, 600, 700, 800)

@@ -18,8 +18,7 @@ from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 from trajeval_ros.papers.flight import fly
 from trajeval_ros.papers.scene import PROFILES
 

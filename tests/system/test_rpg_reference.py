@@ -12,7 +12,7 @@ from rpg_toolbox import METRICS, SLIPPED
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import PROTOCOLS
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.pipeline.pipeline import evaluate
 

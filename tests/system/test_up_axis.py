@@ -27,8 +27,7 @@ from trajeval_ros.io.requests.setting import parse_up
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.evaluation import evaluate_pairs
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.pipeline.pipeline import evaluate, run

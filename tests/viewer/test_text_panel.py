@@ -11,8 +11,7 @@ from state_rows import states, trajectory
 
 from trajeval_ros import Protocol, evaluate, run, simulate
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import metres
+from trajeval_ros.metrics.protocol import PROTOCOLS, metres
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.report.verdict_lines import verdict

@@ -13,6 +13,7 @@ from trajeval_ros.batch.patterns import Pattern, is_url
 from trajeval_ros.batch.plan import Name, Plan, PlannedRun, all_runs
 from trajeval_ros.batch.remote_files import host_of, parse_hosts, require_allowed
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.io.checks import require_known
 from trajeval_ros.io.requests.request_from import (
     in_names_of_settings,
     is_protocol_file,
@@ -23,7 +24,7 @@ from trajeval_ros.io.requests.settings_table import settings_of_many_runs
 from trajeval_ros.io.source_names import is_source, names_of, names_with, split_name
 from trajeval_ros.io.sources import parse_source, require_no_password
 from trajeval_ros.io.text.hints import GROUNDTRUTH, SideHints
-from trajeval_ros.io.yaml_file import read_mapping, require_known
+from trajeval_ros.io.yaml_file import read_mapping
 from trajeval_ros.pipeline.request import Request
 
 _KEYS = (

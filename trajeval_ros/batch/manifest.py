@@ -16,7 +16,7 @@ from trajeval_ros.batch.remote_files import open_store, require_allowed, require
 from trajeval_ros.batch.results_table import load_pyarrow
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.yaml_file import require_known
+from trajeval_ros.io.checks import require_known
 
 _CSV, _PARQUET = ".csv", ".parquet"
 _TRIAL = "trial"  # the only optional column

@@ -26,7 +26,6 @@ from trajeval_ros.formatting.remarks import Level, note
 from trajeval_ros.geometry.source_info import ASSUMED
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import EVALUATE
-from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.source_names import names_with, split_name
 from trajeval_ros.io.sources import BAG_ENDINGS, parse_source
 from trajeval_ros.io.text.hints import SideHints
@@ -36,6 +35,7 @@ from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.io.results.requirement import Requirement
     from trajeval_ros.io.roles import LikelyEvaluation
 
 _GAUGES = ("gauge", "modality", "protocol")  # settings that state a gauge
@@ -129,7 +129,11 @@ def evaluate(
         by_position, groundtruth, estimate = (), chosen.groundtruth, chosen.estimates
         settings["modality"] = chosen.modality or settings["modality"]
     request = request_from(settings)
-    requirements = [Requirement.parse(text) for text in require]
+    requirements: list[Requirement] = []
+    if require:
+        from trajeval_ros.io.results.requirement import Requirement
+
+        requirements = [Requirement.parse(text) for text in require]
     require_one_of(statistic or "mean", RELATIVE_STATISTICS, "statistic")
     pictures = Pictures(rrd=rrd, viewer=viewer)
     pictures.check()

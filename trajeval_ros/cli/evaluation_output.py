@@ -15,12 +15,12 @@ from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.programs import may_break, write_json
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import visible
-from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 
 if TYPE_CHECKING:
+    from trajeval_ros.io.results.requirement import Requirement
     from trajeval_ros.pipeline.outcome import Outcome
 
 _NO_PICTURES = Pictures()

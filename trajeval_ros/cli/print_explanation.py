@@ -16,8 +16,9 @@ from trajeval_ros.explanation.definition import Command, Definition, command_of
 from trajeval_ros.explanation.explain import UNITS, Explanation, Match, PublishedNumber
 from trajeval_ros.explanation.explain import explain as search
 from trajeval_ros.formatting.numbers import counted, significant
+from trajeval_ros.io.checks import require_known
 from trajeval_ros.io.sources import read_many
-from trajeval_ros.io.yaml_file import read_mapping, require_known
+from trajeval_ros.io.yaml_file import read_mapping
 
 SCHEMA = "trajeval-explanation/1"
 _NOT_NAMED = 3  # exit status

@@ -11,8 +11,7 @@ from typing import Final, NamedTuple
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, AssociationRule
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 
 EXCHANGED: Final = "evo, sides exchanged"
 # By name: the protocol that has the association, its rule, and its prior.

@@ -35,8 +35,8 @@ from trajeval_ros.geometry.vertical_axis import require_up_axis
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association, associate
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.premises import Doubts
+from trajeval_ros.metrics.protocol import PROTOCOLS
 from trajeval_ros.metrics.relative_evaluation import relative_evaluation
 
 

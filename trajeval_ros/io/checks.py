@@ -1,9 +1,9 @@
-"""Checks of timestamps and quaternions, shared by all readers of trajectories."""
+"""Checks of names, timestamps and quaternions, shared by all readers."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,18 @@ def nearest(name: str, names: Collection[str]) -> str:
     near = difflib.get_close_matches(name, sorted(names), n=_MOST_NAMES, cutoff=0.0)
     more = f" and {len(names) - len(near)} more" if len(names) > len(near) else ""
     return ", ".join(near) + more if near else "none"
+
+
+def require_known(
+    given: Iterable[str], known: Iterable[str], where: str, what: str = "key"
+) -> None:
+    """Check that all names are valid."""
+    known = list(known)
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.65)
+            hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(known)}"
+            raise InputError(f"{where} has an unknown {what} {name!r}; {hint}")
 
 
 def check_stamps(stamps: NDArray[np.int64], where: str) -> Booleans:

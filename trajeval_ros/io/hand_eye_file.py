@@ -22,7 +22,8 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.valid_poses import LARGEST
-from trajeval_ros.io.yaml_file import read_mapping, require_known
+from trajeval_ros.io.checks import require_known
+from trajeval_ros.io.yaml_file import read_mapping
 
 _WHAT = "transform"
 _UNIT = 0.01  # tolerance of a quaternion's length, for rounded digits

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -84,15 +82,3 @@ def _has_large_integer(content: Any) -> bool:
             seen.add(id(value))
             waiting += [*value.keys(), *value.values()] if isinstance(value, dict) else value
     return False
-
-
-def require_known(
-    given: Iterable[str], known: Iterable[str], where: str, what: str = "key"
-) -> None:
-    """Check that all names are valid."""
-    known = list(known)
-    for name in given:
-        if name not in known:
-            near = get_close_matches(str(name), known, n=1, cutoff=0.65)
-            hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(known)}"
-            raise InputError(f"{where} has an unknown {what} {name!r}; {hint}")

@@ -27,7 +27,6 @@ from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, AssociationRul
 from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter, completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
 from trajeval_ros.metrics.discontinuities.lost_tracking import frozen_in
-from trajeval_ros.metrics.no_match import explain_no_match
 from trajeval_ros.metrics.other_programs import match_as_evo, match_frames
 
 if TYPE_CHECKING:
@@ -129,7 +128,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         unmatched = len(estimate) - _distinct(rows, len(estimate))
         dropped = {"no_groundtruth_within_max_time_difference": unmatched}
     if len(rows) == 0:
-        raise NoMatchError(explain_no_match(groundtruth, shifted, dropped, rule))
+        raise _no_match(groundtruth, shifted, dropped, rule)
     share: float | None = _distinct(rows, len(estimate)) / len(estimate)
     completed = None
     if groundtruth.kind == "points" and groundtruth_rows is not None and not by_row:
@@ -205,7 +204,7 @@ def _at_groundtruth(
     rows = np.flatnonzero(bracket.usable)
     dropped = bracket.dropped("estimate")
     if not len(rows):
-        raise NoMatchError(explain_no_match(groundtruth, states, dropped, rule))
+        raise _no_match(groundtruth, states, dropped, rule)
     meter = InterpolationMeter()
     meter.add(states.stamps, states.positions)
     frozen, _ = frozen_in(groundtruth[rows], between, rule)
@@ -220,6 +219,14 @@ def _at_groundtruth(
         interpolation=meter.interpolation if bracket.is_between else None,
         frozen=frozen,
     )
+
+
+def _no_match(
+    groundtruth: Trajectory, estimate: Trajectory, dropped: dict[str, int], rule: AssociationRule
+) -> NoMatchError:
+    from trajeval_ros.metrics.no_match import explain_no_match
+
+    return NoMatchError(explain_no_match(groundtruth, estimate, dropped, rule))
 
 
 def _distinct(rows: Indices, count: int) -> int:

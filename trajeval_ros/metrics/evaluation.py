@@ -46,7 +46,6 @@ from trajeval_ros.metrics.relative_evaluation import (
     relative_evaluation,
     rmse_text,
 )
-from trajeval_ros.metrics.scale_along_run import ScaleAlongRun, scale_along_run
 from trajeval_ros.metrics.score import Recall, Score, point_errors
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import Length
@@ -58,6 +57,7 @@ if TYPE_CHECKING:
 
     from trajeval_ros.metrics.discontinuities.events import Event
     from trajeval_ros.metrics.discontinuities.parts import RunPart
+    from trajeval_ros.metrics.scale_along_run import ScaleAlongRun
 
 ATE_METRICS = tuple(item.name for item in dataclasses.fields(AbsoluteErrors))
 
@@ -120,6 +120,8 @@ class Evaluation:
         """The scale along the run, for gauges with a scale; None if the pairs are too few."""
         if not self.protocol.gauge.has_scale:
             return None
+        from trajeval_ros.metrics.scale_along_run import scale_along_run
+
         sides = self.association.groundtruth.positions, self.association.estimate.positions
         return scale_along_run(*sides, self.alignment.similarity.scale)
 

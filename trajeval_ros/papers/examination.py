@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.preintegration import ImuNoise
+from trajeval_ros.geometry.inertial import ImuNoise
 from trajeval_ros.papers.keyframe_selection import FARTHEST_M, NEAREST_M, KeyframeSelection, select
 from trajeval_ros.papers.problem import Problem
 from trajeval_ros.papers.sensor_recording import SensorRecording

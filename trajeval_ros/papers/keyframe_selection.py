@@ -11,8 +11,8 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, at_rows
+from trajeval_ros.geometry.inertial import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.interpolation import columns_at
-from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.papers.problem import Problem
 from trajeval_ros.papers.reprojection_errors import Camera

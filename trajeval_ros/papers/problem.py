@@ -14,7 +14,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.geometry.preintegration import GRAVITY, Preintegrated
+from trajeval_ros.geometry.inertial import GRAVITY, Preintegrated
 from trajeval_ros.papers.reprojection_errors import Camera, CameraMeasurements, ReprojectionErrors
 from trajeval_ros.papers.state import MOTION_WIDTH, State
 from trajeval_ros.papers.visibility import Visibility

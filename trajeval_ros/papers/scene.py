@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError, require_one_of
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
-from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise, preintegrate
+from trajeval_ros.geometry.inertial import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.papers.problem import Problem
 from trajeval_ros.papers.reprojection_errors import Camera
 from trajeval_ros.papers.state import State, initial_state

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.discontinuities import about_small_discontinuities
 from trajeval_ros.diagnosis.findings import Diagnosis
@@ -190,6 +189,8 @@ def _about_yaw_information(evaluation: Evaluation) -> Iterator[Remark]:
         return
     if rule.method == "index":
         return
+    from trajeval_ros.consistency.yaw_information import YawInformation
+
     tested, order = YawInformation(), np.argsort(estimate.stamps, kind="stable")
     covariances = estimate.covariances[order, 3:, 3:]
     tested.add(estimate.stamps[order], covariances, estimate.up.matrix[2])

@@ -14,7 +14,7 @@ from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.geodesy import is_earth_centred
 from trajeval_ros.geometry.valid_poses import GROUNDTRUTH_DROPPED, MOST_UNUSABLE, NO_STATE, reasons
 from trajeval_ros.metrics.coverage import LOW_COVERAGE
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import PROTOCOLS
 from trajeval_ros.metrics.receive_clock import stamped_at_arrival
 
 if TYPE_CHECKING:

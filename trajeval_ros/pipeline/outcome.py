@@ -14,8 +14,6 @@ from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.metrics.as_available import AsAvailable
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
-from trajeval_ros.metrics.states_table import AlignedBy
-from trajeval_ros.metrics.stream_health import StreamHealth
 from trajeval_ros.pipeline.fix_remarks import fix_remarks
 from trajeval_ros.pipeline.request import Request
 
@@ -27,6 +25,8 @@ if TYPE_CHECKING:
     from trajeval_ros.geometry.fix_selection import FixRule
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.metrics.noise_corrected_ate import NoiseCorrectedAte
+    from trajeval_ros.metrics.states_table import AlignedBy
+    from trajeval_ros.metrics.stream_health import StreamHealth
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -24,7 +24,6 @@ from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.receive_clock import judged_receive_times
 from trajeval_ros.metrics.states_table import states_table
-from trajeval_ros.metrics.stream_health import UNKNOWN, StreamHealth, health_of
 from trajeval_ros.pipeline.diagnosing import diagnosed, explained, reevaluation
 from trajeval_ros.pipeline.measurement import measured
 from trajeval_ros.pipeline.outcome import (
@@ -50,6 +49,7 @@ if TYPE_CHECKING:
     from trajeval_ros.consistency.consistency_result import Consistency
     from trajeval_ros.consistency.integrity import Integrity
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
+    from trajeval_ros.metrics.stream_health import StreamHealth
 
 
 def run(
@@ -154,6 +154,8 @@ def _stream(estimate: Trajectory) -> StreamHealth | None:
     receive_times = estimate.reading.receive_times
     if receive_times is None or not len(estimate) or estimate.reading.as_received is not None:
         return None
+    from trajeval_ros.metrics.stream_health import UNKNOWN, health_of
+
     _, clock = judged_receive_times(estimate.stamps, receive_times.times)
     unknown = np.full(len(estimate), UNKNOWN)
     return health_of(estimate.stamps, receive_times.times if clock.is_usable else unknown)

@@ -10,9 +10,8 @@ from trajeval_ros.formatting.text_tables import BOLD
 from trajeval_ros.geometry.source_info import ASSUMED, ASSUMED_COLUMNS, FORMAT
 from trajeval_ros.metrics.discontinuities.handling import SPLIT
 from trajeval_ros.pipeline.evaluation_remarks import SCALE_DRIFT
-from trajeval_ros.report import requested_lines, tables
+from trajeval_ros.report import tables
 from trajeval_ros.report.console import WARNING, Console, Table, show
-from trajeval_ros.report.requested_lines import available_lines, calibration_lines, stream_line
 from trajeval_ros.report.verdict_lines import (
     definitions,
     diagnosis_lines,
@@ -39,6 +38,8 @@ def print_verdicts(terminal: Console, outcome: Outcome) -> None:
             terminal.print(line, soft_wrap=True)
         position = run.evaluation.ate["position_m"]
         if run.available is not None and position is not None:
+            from trajeval_ros.report.requested_lines import available_lines
+
             for line in available_lines(run.available.numbers, position.rmse):
                 terminal.print(line, soft_wrap=True)
         if run.noise_corrected_ate is not None:
@@ -72,9 +73,13 @@ def print_tables(terminal: Console, outcome: Outcome, statistic: str = "") -> No
     for run in outcome.runs:
         name = run.estimate.name
         if run.calibrated is not None:
+            from trajeval_ros.report.requested_lines import calibration_lines
+
             _print_titled(terminal, calibration_lines(name, run.calibrated))
         if run.consistency is not None:
-            _print_titled(terminal, requested_lines.consistency_lines(name, run.consistency))
+            from trajeval_ros.report.requested_lines import consistency_lines
+
+            _print_titled(terminal, consistency_lines(name, run.consistency))
     _print_integrity(terminal, outcome.runs)
 
 
@@ -89,8 +94,11 @@ def print_definitions(terminal: Console, outcome: Outcome) -> None:
     for run in outcome.runs:
         for text in definitions(run.evaluation):
             terminal.print(text, soft_wrap=True)
-        if run.stream is not None and (arrival := stream_line(run.stream)):
-            terminal.print(arrival, soft_wrap=True)
+        if run.stream is not None:
+            from trajeval_ros.report.requested_lines import stream_line
+
+            if arrival := stream_line(run.stream):
+                terminal.print(arrival, soft_wrap=True)
 
 
 def print_tests(terminal: Console, runs: Sequence[RunOutcome]) -> None:
@@ -162,6 +170,7 @@ def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:
     asked = {run.estimate.name: run.integrity for run in runs if run.integrity is not None}
     if not asked:
         return
+    from trajeval_ros.report import requested_lines
 
     table = Table("", requested_lines.INTEGRITY_WORDS, requested_lines.INTEGRITY_NUMBERS)
     for name, integrity in asked.items():

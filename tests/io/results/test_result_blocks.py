@@ -17,8 +17,8 @@ from trajeval_ros.calibration.clock_offset import OffsetGuess
 from trajeval_ros.calibration.significance import Parameter
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.results import result_folder
-from trajeval_ros.io.results.calibration_json import calibration_json
-from trajeval_ros.io.results.probabilistic_json import _gauge_scores as gauge_scores_json
+from trajeval_ros.io.results.requested_json import _gauge_scores as gauge_scores_json
+from trajeval_ros.io.results.requested_json import calibration_json
 
 FAKE: Any = SimpleNamespace
 

@@ -43,9 +43,8 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
-from trajeval_ros.geometry.inertial import InertialReadings
+from trajeval_ros.geometry.inertial import ImuNoise, InertialReadings
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.events import GROUNDTRUTH
 from trajeval_ros.metrics.discontinuities.recorded import stream_discontinuities

@@ -9,8 +9,8 @@ import numpy as np
 
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
+from trajeval_ros.geometry.inertial import ImuNoise, integrated, preintegrate
 from trajeval_ros.geometry.interpolation import columns_at
-from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
 
 _AT_REST_RADPS, _SECOND_AXIS_RADPS = 0.05, 0.1
 _LONGEST_S = 0.05  # a longer step of the IMU is a gap

@@ -33,7 +33,7 @@ from trajeval_ros.calibration.significance import axis_name
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.banded_matrices import AT_ONCE, Factor, add_blocks
-from trajeval_ros.geometry.preintegration import ImuNoise
+from trajeval_ros.geometry.inertial import ImuNoise
 from trajeval_ros.geometry.se3 import times, transposed
 
 STATES, PARAMETERS = 15, 10

@@ -16,13 +16,12 @@ from trajeval_ros.exceptions import InputError, SettingsError, require_one_of
 from trajeval_ros.geometry.gauge import Gauge, gauge_for
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
+from trajeval_ros.io.checks import require_known
 from trajeval_ros.io.requests.setting import ALL, AUTO, MESSAGE, NONE, parse_noise
 from trajeval_ros.io.requests.settings_table import SETTINGS
 from trajeval_ros.io.sources import parse_source
-from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.metrics.association_rule import INTERPOLATING
-from trajeval_ros.metrics.named_protocols import protocol_named
-from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.protocol import Protocol, protocol_named
 from trajeval_ros.metrics.states_table import parse_first_states
 from trajeval_ros.pipeline.request import Request
 
@@ -138,6 +137,8 @@ def read_protocol(path: Path) -> Protocol:
     Raises:
         InputError: The file can't be read, or a setting is unknown or not valid.
     """
+    from trajeval_ros.io.yaml_file import read_mapping
+
     values = read_mapping(path, "protocol")
     known = [name for name in SETTINGS if _is_of_protocol(name) and name != "protocol"]
     require_known(values, ["base", *known], str(path))

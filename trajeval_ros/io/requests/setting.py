@@ -15,13 +15,13 @@ import numpy as np
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
-from trajeval_ros.io.yaml_file import require_known
+from trajeval_ros.io.checks import require_known
 from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
 from trajeval_ros.metrics.sub_trajectories import Length
 
 if TYPE_CHECKING:
+    from trajeval_ros.geometry.inertial import ImuNoise
     from trajeval_ros.pipeline.request import Request
 
 AUTO, NONE, MESSAGE, ALL = "auto", "none", "message", "all"
@@ -230,6 +230,8 @@ def parse_imu_noise(text: str) -> ImuNoise:
     gyroscope, accelerometer = two_numbers(text, refusal)
     if not (1e-6 <= gyroscope <= 1.0 and 1e-5 <= accelerometer <= 1e2):
         raise SettingsError(refusal)
+    from trajeval_ros.geometry.inertial import ImuNoise
+
     return ImuNoise(gyroscope, accelerometer)
 
 

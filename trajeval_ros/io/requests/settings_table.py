@@ -48,13 +48,13 @@ from trajeval_ros.metrics.as_available import RECEIVED
 from trajeval_ros.metrics.association_rule import AT_GROUNDTRUTH, METHODS
 from trajeval_ros.metrics.availability import HOLD, MOTIONS
 from trajeval_ros.metrics.discontinuities.handling import ON_RESTART
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import (
     ALIGN_WEIGHTS,
     ALIGN_WITH,
     APPLY,
     ATE_FORMS,
     NEES_FORMS,
+    PROTOCOLS,
     RE_FORMS,
 )
 from trajeval_ros.metrics.states_table import parse_states

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.io.npz_file import write_arrays
-from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
+from trajeval_ros.io.results.requested_json import probabilistic_columns
 from trajeval_ros.metrics.columns import (
     ArrayColumns,
     columns_of,

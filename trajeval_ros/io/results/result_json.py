@@ -18,11 +18,8 @@ from trajeval_ros.formatting.remarks import remark_json
 from trajeval_ros.geometry.frame_axes import between_own_axes
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.requests.settings_table import settings_of
-from trajeval_ros.io.results.calibration_json import calibration_json
-from trajeval_ros.io.results.probabilistic_json import probabilistic_json
 from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
-from trajeval_ros.metrics.scale_along_run import ScaleAlongRun
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 
@@ -30,6 +27,7 @@ if TYPE_CHECKING:
     from trajeval_ros.consistency.consistency_result import Consistency
     from trajeval_ros.consistency.integrity import Integrity
     from trajeval_ros.diagnosis.findings import Finding
+    from trajeval_ros.metrics.scale_along_run import ScaleAlongRun
 
 SCHEMA = "trajeval/3"
 
@@ -73,6 +71,15 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
     similarity, coverage = evaluation.alignment.similarity, pairs.coverage
     if protocol.is_upright:  # then the alignment is between frames turned to z up
         similarity = between_own_axes(similarity, groundtruth_up, estimate.up)
+    calibration = probabilistic = None
+    if run.calibrated is not None:
+        from trajeval_ros.io.results.requested_json import calibration_json
+
+        calibration = calibration_json(run.calibrated)
+    if run.likelihood is not None:
+        from trajeval_ros.io.results.requested_json import probabilistic_json
+
+        probabilistic = probabilistic_json(run.likelihood)
     return {
         "estimate": {
             "source": estimate.source,
@@ -135,10 +142,10 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
         "scale_along_run": _scale(evaluation.scale_along_run),
         "score": None if evaluation.score is None else dataclasses.asdict(evaluation.score),
         "recall": evaluation.recall and dataclasses.asdict(evaluation.recall),
-        "calibration": None if run.calibrated is None else calibration_json(run.calibrated),
+        "calibration": calibration,
         "consistency": None if run.consistency is None else _consistency(run.consistency),
         "integrity": None if run.integrity is None else integrity_json(run.integrity),
-        "probabilistic": None if run.likelihood is None else probabilistic_json(run.likelihood),
+        "probabilistic": probabilistic,
         "stream": run.stream and dataclasses.asdict(run.stream),
         "as_available": run.available and dataclasses.asdict(run.available.numbers),
         "diagnosis": findings_json(run.diagnosis.findings),

@@ -17,7 +17,7 @@ from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.source_info import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
-ANY_GGA = rb"(?m)^\$..GGA,"  # start of a line with a fix
+_ANY_GGA = rb"(?m)^\$..GGA,"  # start of a line with a fix
 _KNOWN = 2.0  # type of a diagonal covariance in sensor_msgs/NavSatFix; 0 is unknown
 
 # Patterns are compiled on use, since few files are NMEA.
@@ -61,6 +61,11 @@ def fixes_of(
     return trajectory_of_rows(str(path), stamps, places, quality, reading, name=path.stem)
 
 
+def has_gga(beginning: bytes) -> bool:
+    """Return whether the first bytes of a file have a line with a fix."""
+    return re.search(_ANY_GGA, beginning.replace(b"\r", b"\n")) is not None
+
+
 def read_nmea(path: Path) -> Trajectory:
     """Read the GGA lines of a file.
 
@@ -73,7 +78,7 @@ def read_nmea(path: Path) -> Trajectory:
     matches = list(re.finditer(_GGA, data))
     intact = _intact(data, matches)
     lines = [match for match, good in zip(matches, intact.tolist(), strict=True) if good]
-    broken = len(re.findall(ANY_GGA, data)) - len(lines)
+    broken = len(re.findall(_ANY_GGA, data)) - len(lines)
     if not lines:
         raise InputError(f"{path}: no complete fix in {counted(broken, 'GGA line')}")
     fields = [line.groups() for line in lines]

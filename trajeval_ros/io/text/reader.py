@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +16,6 @@ from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.source_info import ASSUMED_COLUMNS, FORMAT, NAMED_COLUMNS, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_rotations, check_stamps
-from trajeval_ros.io.text.geographic import ANY_GGA, fixes_of, read_nmea
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.layouts import fits
 from trajeval_ros.io.text.lines import HEAD, Advance, head_of
@@ -110,8 +108,11 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     if path.is_file():
         with path.open("rb") as file:
             beginning = file.read(HEAD)
-    if b"GGA," in beginning and re.search(ANY_GGA, beginning.replace(b"\r", b"\n")):
-        return read_nmea(path)
+    if b"GGA," in beginning:
+        from trajeval_ros.io.text.geographic import has_gga, read_nmea
+
+        if has_gga(beginning):
+            return read_nmea(path)
     is_zip = beginning.startswith(b"PK\x03\x04") and b".npy" in beginning
     if is_zip or beginning.startswith(b"\x93NUMPY"):
         array, times = load(path)
@@ -201,6 +202,8 @@ def trajectory_of(
         ),
     )
     if layout.is_geographic:
+        from trajeval_ros.io.text.geographic import fixes_of
+
         return fixes_of(path, stamps, groups, reading)
     receive_times = None
     if RECEIVED in rows.texts and has_times:
