@@ -25,9 +25,8 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.state_buffer import NO_STATES
-from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.diagnostics import remarks_about
-from trajeval_ros.ros.slow_evaluation import PARAMETER_NAMES, hints_about
+from trajeval_ros.ros.slow_evaluation import PARAMETER_NAMES, BackgroundTask, hints_about
 from trajeval_ros.simulation.drifting_odometry import Simulation
 
 LIMITS = {

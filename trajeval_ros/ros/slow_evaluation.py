@@ -1,11 +1,18 @@
-"""Slow evaluation of one estimate on a thread: hints, and the errors of its newest path."""
+"""Computations that are too slow for a tick, on threads with limited CPU time.
+
+Those of one estimate are hints, and the errors of its newest path.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 from trajeval_ros.diagnosis.causes import DISCONTINUITIES
+from trajeval_ros.exceptions import describe_defect
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.io.requests.request_from import in_names_of_settings
 from trajeval_ros.metrics.discontinuities.events import Loss
@@ -16,9 +23,9 @@ from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun, association_o
 from trajeval_ros.pipeline.diagnosing import diagnose
 from trajeval_ros.pipeline.input_remarks import about_frames
 from trajeval_ros.pipeline.request import Request
-from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.parameter_table import PARAMETERS
 
+Result = TypeVar("Result")
 PARAMETER_NAMES = {parameter.name for parameter in PARAMETERS}
 _CLOCKS = {"clock_offset", "clock_drift", "small_clock_offset"}
 # Tests that need all messages. The thinned contains only some of the pairs.
@@ -31,6 +38,54 @@ _NOT_BY_SOME_PAIRS = {
 # From this duration on, clocks that differ by 37 s (TAI and UTC) have half of the motion in
 # common.
 _OTHER_RUN_FROM_S = 75.0
+
+
+class BackgroundTask(Generic[Result]):
+    """Runs one computation at a time on its own thread.
+
+    An exception ends the computation, but not the node: it has no result, and `trouble` is set.
+    """
+
+    def __init__(self, most_share: float) -> None:
+        self.trouble = ""  # why the newest computation has failed; empty if it has not
+        self._threads = ThreadPoolExecutor(1, thread_name_prefix="background")
+        self._share = most_share
+        self._running: Future[tuple[Result | None, str, float]] | None = None
+        self._next_at = 0.0
+
+    @property
+    def is_due(self) -> bool:
+        """Whether a computation may be started now."""
+        return self._running is None and time.monotonic() >= self._next_at
+
+    def start(self, compute: Callable[[], Result]) -> None:
+        """Start a computation. It must not use data that other threads change."""
+
+        def guarded() -> tuple[Result | None, str, float]:
+            begin, result, trouble = time.thread_time(), None, ""
+            try:
+                result = compute()
+            except Exception as error:
+                trouble = describe_defect(error)
+            return result, trouble, time.thread_time() - begin
+
+        self._running = self._threads.submit(guarded)
+
+    def take(self) -> Result | None:
+        """Return the result of a finished computation; None if there is none."""
+        return self.wait() if self._running is not None and self._running.done() else None
+
+    def wait(self) -> Result | None:
+        """Wait for the running computation and return its result; None if there is none."""
+        if self._running is None:
+            return None
+        (result, self.trouble, took_s), self._running = self._running.result(), None
+        self._next_at = time.monotonic() + took_s / self._share
+        return result
+
+    def close(self) -> None:
+        """Stop the thread after the running computation, without waiting for it."""
+        self._threads.shutdown(wait=False)
 
 
 def hints_about(

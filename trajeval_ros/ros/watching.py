@@ -11,10 +11,10 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level, Remark, most_severe_first, warning
 from trajeval_ros.io.bags.rate_messages import IMU_TYPE
 from trajeval_ros.online.alarms import ActiveAlarms
-from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.live_watch import LiveWatch, WatchedMessages, WatchReport
 from trajeval_ros.ros.message_types import require_installed
 from trajeval_ros.ros.pose_source import PoseSource, about_publishers
+from trajeval_ros.ros.slow_evaluation import BackgroundTask
 from trajeval_ros.ros.status_topics import DiagnosticsTopic, EventTopic, log, status_message
 from trajeval_ros.ros.subscriptions import TopicInput
 from trajeval_ros.watchdog.signals import pair_sources
