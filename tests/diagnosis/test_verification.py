@@ -232,6 +232,13 @@ def test_two_conventions_that_do_not_reduce_the_error_are_not_named(mistake: str
     assert not text.correction
 
 
+def test_other_angles_of_a_car_are_no_other_order_of_the_quaternion() -> None:
+    """About one axis, quaternions with w last imitated another order of the Euler angles."""
+    car = simulated(3, "car", "loops", 200.0)
+    [finding] = diagnosis_of(USERS["Euler order"].make(car)).findings
+    assert finding.cause == "rotations"
+
+
 def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
     wrong = USERS["increments"].make(DRONE)
     noise = np.random.default_rng(0).normal(scale=0.01, size=wrong.estimate.positions.shape)
