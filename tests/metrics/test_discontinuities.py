@@ -317,6 +317,16 @@ def test_healthy_runs_need_no_search(seed: int) -> None:
     assert not screened(flight.groundtruth, flight.estimate)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_motions_that_differ_smoothly_need_no_search(seed: int) -> None:
+    """Neither side changes its velocity suddenly, so that the search exonerates both."""
+    groundtruth, estimate = sides(seed)
+    flat = estimate.positions * [1.0, 1.0, 0.0]
+    wrong = dataclasses.replace(estimate, positions=flat)
+    assert not screened(groundtruth, wrong)
+    assert not discontinuities(groundtruth, wrong)
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("until_s", [AT_S + 0.05, AT_S + 5.0, DURATION_S])

@@ -60,20 +60,24 @@ def with_events(
     pairs, rule = evaluation.association, evaluation.association.rule
     if evaluation.groundtruth.kind == _NOISY:
         return evaluation
-    offset_ns, has_times = round(rule.time_offset_s * NANOSECONDS), _has_times(evaluation)
+    has_times = _has_times(evaluation)
     if paired or not has_times:
-        groundtruth, estimate, offset_ns = pairs.groundtruth, pairs.estimate, 0
+        groundtruth, estimate = pairs.groundtruth, pairs.estimate
+    else:
+        stamps = estimate.stamps + round(rule.time_offset_s * NANOSECONDS)
+        estimate = dataclasses.replace(estimate, stamps=stamps)
     if not has_times:
         stamps = _ROW_NS * np.arange(len(pairs))
         groundtruth, estimate = (
             dataclasses.replace(side, stamps=stamps) for side in (groundtruth, estimate)
         )
+        pairs = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)
     sides = groundtruth, estimate
     similarity = evaluation.alignment.similarity
     unusual = unusual_times(pairs, similarity, *sides, in_gaps=is_explained)
     if unusual is not None and not len(unusual) and not any(map(has_repeats, sides)):
         return evaluation
-    events = tuple(discontinuities(*sides, offset_ns, unusual if has_times else None))
+    events = tuple(discontinuities(*sides, unusual=unusual if has_times else None))
     parts = parts_of(pairs, events, evaluation.protocol) if has_times else ()
     return dataclasses.replace(evaluation, events=events, parts=parts)
 

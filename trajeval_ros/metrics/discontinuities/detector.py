@@ -37,7 +37,8 @@ class Discontinuities:
     def __init__(self, *, oriented: bool = True, unusual: Stamps | None = None) -> None:
         """Create it before the first message; without orientations, positions are compared.
 
-        `unusual`: timestamps (K,) of the only motions that can be steps; None if they are unknown.
+        `unusual`: timestamps (K,) of the only motions that can be steps, if no timestamp is
+        irregular; else None.
         """
         self._unusual = unusual
         self.events: list[Event] = []  # in order of detection
@@ -85,12 +86,15 @@ class Discontinuities:
             self._clocks.zero_ns = int(stamps[0])
         number, zero_ns = SIDES.index(side), self._clocks.zero_ns
         seconds = (stamps - zero_ns) / NANOSECONDS
-        times = None if received is None else (received - zero_ns) / NANOSECONDS
         stream = self._streams[number]
-        corrected, rows, steps = stream.clock.take(seconds, times, poses)
-        for step in steps:
-            self._clocks.add(number, step)
-        stream.store(corrected, rows)
+        if self._unusual is None:
+            times = None if received is None else (received - zero_ns) / NANOSECONDS
+            seconds, poses, steps = stream.clock.take(seconds, times, poses)
+            for step in steps:
+                self._clocks.add(number, step)
+        else:  # a step in a gap may have been corrected
+            seconds += stream.clock.shift_s
+        stream.store(seconds, poses)
         self._advance()
 
     def finish(self) -> list[Event]:

@@ -186,15 +186,8 @@ class SidePoses:
             return Innovation(0.0, 0.0, math.inf, 0.0, 0.0, 0.0)
         first = max(self.row_from(begin_s + 1e-9) - 1 - low, 0)
         last = min(self.row_from(end_s - 1e-9) - low, len(stamps) - 1)
-        steps = np.diff(stamps)
-        rotated = lie.multiply(lie.conjugate(poses[:-1, 3:]), poses[1:, 3:])
-        velocities = np.diff(poses[:, :3], axis=0) / steps[:, None]
-        rates = lie.rotation_vector(rotated) / steps[:, None]
+        steps, by_m, by_deg = innovations(stamps, poses)
         inside = slice(first, max(last, first + 1))
-        by_m = _changes(velocities, steps, 1)
-        by_deg = np.degrees(_changes(rates, steps, 1))
-        second = np.degrees(_changes(rates, steps, 2))
-        by_deg = np.maximum(by_deg, np.where(np.isfinite(second), second, 0.0))
         usual_m, usual_deg = (
             median(values[: first + 1]) if first > 3 else 0.0 for values in (by_m, by_deg)
         )
@@ -233,6 +226,21 @@ class SidePoses:
                 interval = Repeats(part, begin_s, begin_s)
                 self.repeats.append(interval)
             interval.end_s = float(stamps[end - 1])
+
+
+def innovations(stamps: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the steps (N - 1,) between timestamps (N,), and the changes of velocity in them.
+
+    These are displacements over the steps, metres and deg, of poses (N, 7).
+    """
+    steps = np.diff(stamps)
+    rotated = lie.multiply(lie.conjugate(poses[:-1, 3:]), poses[1:, 3:])
+    velocities = np.diff(poses[:, :3], axis=0) / steps[:, None]
+    rates = lie.rotation_vector(rotated) / steps[:, None]
+    by_deg = np.degrees(_changes(rates, steps, 1))
+    second = np.degrees(_changes(rates, steps, 2))
+    by_deg = np.maximum(by_deg, np.where(np.isfinite(second), second, 0.0))
+    return steps, _changes(velocities, steps, 1), by_deg
 
 
 def _changes(rates: Floats, steps: Floats, apart: int) -> Floats:

@@ -1,7 +1,9 @@
 """A fast test of recorded runs: which motions are unusual enough to be discontinuities.
 
 The search takes as much time as the rest of the evaluation. Most recordings have no or few motions
-that it would examine, which columns of all pairs show in a hundredth of the time.
+that it would examine, which columns of all pairs show in a hundredth of the time. Motions also
+differ if axes, scales or clocks do, or if the estimate diverges, but then neither side changes its
+velocity suddenly, so that the search would exonerate both.
 """
 
 from __future__ import annotations
@@ -15,7 +17,10 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, lengths
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.discontinuities.open_step import GAP
+from trajeval_ros.metrics.coverage import StampedPoses
+from trajeval_ros.metrics.discontinuities.exoneration import EXONERATES
+from trajeval_ros.metrics.discontinuities.open_step import GAP, LEAST_RATIO, calm_s
+from trajeval_ros.metrics.discontinuities.pose_stream import innovations
 from trajeval_ros.metrics.discontinuities.stamp_steps import SMALLEST_S
 from trajeval_ros.metrics.discontinuities.usual_differences import LEAST_DEG, LEAST_M
 from trajeval_ros.metrics.statistics import median
@@ -25,6 +30,10 @@ _BLOCK = 240  # pairs with a common median: as many as the search remembers
 # Multiple of the median: fewer than the 6 of the search, since the alignment of all pairs is less
 # exact than the search's own.
 _OF_MEDIAN = 4.0
+# Smallest change of velocity of a guilty side, relative to the limits.
+_SUDDEN = LEAST_RATIO * EXONERATES
+_IDENTITY = 0.0, 0.0, 0.0, 1.0  # of poses without orientations
+_NEIGHBOURS = 3  # poses that are compared for a change of velocity
 
 
 def unusual_times(
@@ -37,28 +46,76 @@ def unusual_times(
 ) -> Stamps | None:
     """Return the timestamps (K,) of pairs next to which the search can have a result.
 
-    None if it can have one anywhere. `groundtruth`, `estimate`: in the order of their sources.
-    `similarity`: aligns the pairs. `in_gaps`: clocks may have stepped, and all else is usual.
+    None if it can have one anywhere. `groundtruth`, `estimate`: in the order of their sources, by
+    one clock. `similarity`: aligns the pairs. `in_gaps`: clocks may have stepped, and all else is
+    usual.
     """
     if len(pairs) < _FEW_PAIRS or any(map(_has_irregular_stamps, (groundtruth, estimate))):
         return None
     true, aligned = pairs.groundtruth, similarity.trajectory(pairs.estimate)
     roots = _roots_of_steps(true.stamps)
     differences = [lengths(np.diff(true.positions - aligned.positions, axis=0))]
-    unusual = _unusual(differences, roots, LEAST_M)
+    unusual, limits_m = _unusual(differences, roots, LEAST_M)
+    limits_deg = np.full(len(roots), np.inf)
     if true.quaternions is not None and aligned.quaternions is not None:
         back = lie.conjugate(aligned.quaternions)
         angles = [_angles(lie.multiply(lie.conjugate(true.quaternions), aligned.quaternions))]
-        unusual |= _unusual(angles, roots, LEAST_DEG)
-        if unusual.any():  # where the alignment does not fit, rotations between the worlds may
+        rotates, limits_deg = _unusual(angles, roots, LEAST_DEG)
+        if unusual.any() or rotates.any():
+            # Where the alignment does not fit, rotations between the worlds may.
             worlds = lie.multiply(true.quaternions, back)
             steps, true_steps = (np.diff(side.positions, axis=0) for side in (aligned, true))
             differences.append(lengths(true_steps - lie.rotate(worlds[1:], steps)))
             angles.append(_angles(worlds))
-            unusual = _unusual(differences, roots, LEAST_M) | _unusual(angles, roots, LEAST_DEG)
+            unusual, limits_m = _unusual(differences, roots, LEAST_M)
+            rotates, limits_deg = _unusual(angles, roots, LEAST_DEG)
+        unusual |= rotates
     if in_gaps:
         unusual &= roots > 1.0
-    return true.stamps[1:][unusual]
+    times = true.stamps[1:][unusual]
+    if not len(times) or has_repeats(groundtruth) or has_repeats(estimate):
+        return times  # a repeated pose is a gap
+    limits = limits_m, limits_deg
+    # The search compares motions until they are usual for this time.
+    usual_ns = median(np.diff(true.stamps))
+    before_ns = round(GAP * usual_ns)
+    after_ns = round(NANOSECONDS * calm_s(usual_ns / NANOSECONDS))
+    span = times[0] - before_ns, times[-1] + after_ns
+    sudden = [
+        _sudden_times(side, span, true.stamps, limits, unit)
+        for side, unit in ((groundtruth, 1.0), (estimate, similarity.scale))
+    ]
+    known = np.sort(np.concatenate(sudden))
+    first, last = known.searchsorted([times - before_ns, times + after_ns])
+    near: Stamps = times[last > first]
+    return near
+
+
+def _sudden_times(
+    side: Trajectory,
+    span: tuple[int, int],
+    stamps: Stamps,
+    limits: tuple[Floats, Floats],
+    unit: float,
+) -> Stamps:
+    """Return when the velocity of a side changes by a part of the limits, and the ends of gaps.
+
+    They are searched within a span of timestamps. The limits (N - 1,), metres and deg, are those
+    between `stamps` (N,), and `unit` is metres per unit of the side.
+    """
+    begin, end = side.stamps.searchsorted(span)
+    rows = slice(max(begin - _NEIGHBOURS, 0), end + _NEIGHBOURS)
+    near = StampedPoses.of(side, rows)
+    if side.quaternions is None:
+        near.poses[:, 3:] = _IDENTITY
+    if len(near.stamps) < 2:
+        return near.stamps
+    steps, by_m, by_deg = innovations((near.stamps - near.stamps[0]) / NANOSECONDS, near.poses)
+    at = (stamps.searchsorted(near.stamps[1:]) - 1).clip(0, len(stamps) - 2)
+    least_m, least_deg = (_SUDDEN * values[at] for values in limits)
+    is_sudden = (unit * by_m >= least_m) | (by_deg >= least_deg) | (steps > GAP * median(steps))
+    ends: Stamps = near.stamps[1:][is_sudden]
+    return ends
 
 
 def _angles(rotations: Floats) -> Floats:
@@ -97,17 +154,18 @@ def _roots_of_steps(stamps: Stamps) -> Floats:
     return np.sqrt(np.where(ratios > GAP, ratios, 1.0))
 
 
-def _unusual(kinds: Sequence[Floats], roots: Floats, least: float) -> Booleans:
-    """Return which changes (N,) exceed the limit about them; `least`: the smallest limit.
+def _unusual(kinds: Sequence[Floats], roots: Floats, least: float) -> tuple[Booleans, Floats]:
+    """Return which changes (N,) exceed the limit about them, and it; `least`: the smallest limit.
 
     Of several kinds of changes, the one with the smallest median there is compared. The limit
     follows from the changes before, too, since all may grow there.
     """
-    unusual, before = np.empty(len(roots), dtype=bool), np.inf
+    unusual, limits, before = np.empty(len(roots), dtype=bool), roots.copy(), np.inf
     for begin in range(0, len(roots), _BLOCK):
         block = slice(max(0, min(begin, len(roots) - _BLOCK)), begin + _BLOCK)
         usual, _, changes = min((median(kind[block]), row, kind) for row, kind in enumerate(kinds))
         rows = slice(begin, begin + _BLOCK)
-        unusual[rows] = changes[rows] > max(least, _OF_MEDIAN * min(usual, before)) * roots[rows]
+        limits[rows] *= max(least, _OF_MEDIAN * min(usual, before))
+        unusual[rows] = changes[rows] > limits[rows]
         before = usual
-    return unusual
+    return unusual, limits
