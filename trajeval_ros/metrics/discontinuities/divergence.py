@@ -6,6 +6,8 @@ Jumps, other frames, axes and units, and drift are no divergence.
 from __future__ import annotations
 
 import math
+import operator
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -129,7 +131,7 @@ class Divergence:
                     of_body,
                 )
                 rows = zip(*(column.tolist() for column in columns), strict=True)
-                for row, step_m in zip(rows, apart_m.T, strict=True):
+                for row, step_m in zip(rows, apart_m.T.tolist(), strict=True):
                     self._follow(*row, apart_m=step_m)
         self._chunk = np.hstack([self._chunk, steps])
         if self._chunk.shape[1] == _CHUNK:
@@ -148,15 +150,15 @@ class Divergence:
         excess: float,
         of_body: float,
         *,
-        apart_m: Floats,
+        apart_m: Sequence[float],
     ) -> None:
-        """Accumulate one step that differs by (3,); begin, extend or end an event."""
+        """Accumulate one step that differs by a vector; begin, extend or end an event."""
         if self._sum == 0.0 and not self._is_lost:
             if excess <= 0.0 and not self._runs_away:
                 return
             self._begin_ns, self._since_m, self._moved_m = begin_ns, 0.0, 0.0
             self._of_body = self._before = 0.0
-            self._apart_since_m, self._lengths_since_m, self._steps_since = np.zeros(3), 0.0, 0
+            self._apart_since_m, self._lengths_since_m, self._steps_since = [0.0] * 3, 0.0, 0
         self._since_m += groundtruth_m
         self._moved_m += moved_m
         self._sum = _accumulated(self._sum, excess)
@@ -164,8 +166,8 @@ class Divergence:
             # The smaller of two in a row, since a jump is in one.
             self._of_body = _accumulated(self._of_body, min(of_body, self._before))
             self._before = of_body
-            self._apart_since_m = self._apart_since_m + apart_m
-            self._lengths_since_m += float(np.linalg.norm(apart_m))
+            self._apart_since_m = list(map(operator.add, self._apart_since_m, apart_m))
+            self._lengths_since_m += math.hypot(*apart_m)
             self._steps_since += 1
             if self._agreed:
                 lasted_s = (end_ns - self._begin_ns) / NANOSECONDS
@@ -173,7 +175,7 @@ class Divergence:
                     self._limit * (self._since_m + _NOISE_MPS * lasted_s),
                     _TIMES_STEP * self._lengths_since_m / self._steps_since,
                 )
-                is_noise = np.linalg.norm(self._apart_since_m) < usual_m
+                is_noise = math.hypot(*self._apart_since_m) < usual_m
                 if self._sum < _LEAST_SUMS[0] or self._of_body < _LEAST_SUMS[1] or is_noise:
                     return
             elif self._runs_away:

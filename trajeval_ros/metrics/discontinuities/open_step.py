@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
-from trajeval_ros.geometry.arrays import Floats
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.metrics.discontinuities.events import UNDECIDED
 from trajeval_ros.metrics.discontinuities.exoneration import SideVerdict
-from trajeval_ros.metrics.discontinuities.relative_motion import Size
+from trajeval_ros.metrics.discontinuities.relative_motion import Difference, Size
 
 GAP = 2.5  # periods: a longer step of timestamps is no usual motion
 # A step stays after this time, and this number of periods, without an unusual motion: longer
@@ -58,10 +62,6 @@ class OpenStep:
         by_m, by_deg = self.by_parts
         return Size(self.size.m if by_m else 0.0, self.size.deg if by_deg else 0.0)
 
-    def is_lost(self, lasted_s: float) -> bool:
-        """Return whether the poses neither return nor calm down for this time."""
-        return lasted_s > _LOST_S and self.unusual > _LOST_MOTIONS
-
 
 class PairStep(OpenStep):
     """A motion of one side against the other one that differs by more than usual."""
@@ -80,34 +80,46 @@ class PairStep(OpenStep):
         """The first pair after the step."""
         return self.pairs[1]
 
-    def add(self, pair: Floats, total: Size, *, is_unusual: bool) -> None:
-        """Take the next pair; `total`: difference to the last good one."""
-        self.pairs.append(pair)
-        if len(self.pairs) > _MOST_PAIRS:
-            del self.pairs[_THINNED]
-        if is_unusual:
-            self.grow(total, float(pair[0]))
+    def add(self, pairs: Floats) -> None:
+        """Take the next pairs (N, 15)."""
+        for pair in pairs:
+            self.pairs.append(pair)
+            if len(self.pairs) > _MOST_PAIRS:
+                del self.pairs[_THINNED]
 
-    def is_back(self, total: Size, limits: tuple[float, float]) -> bool:
-        """Return whether a pair is on the former path; `limits`: of the usual differences."""
-        by_m, by_deg = self.by_parts
-        least_m, least_deg = (
-            max(size * _BACK, min(limit, size / 2))
-            for size, limit in zip(self.size, limits, strict=True)
-        )
-        return (not by_m or total.m < least_m) and (not by_deg or total.deg < least_deg)
+    def are_back(
+        self,
+        sizes: Sequence[Floats],
+        totals: Difference,
+        limits: tuple[Floats, Floats],
+        motions: Difference,
+    ) -> Booleans:
+        """Return at which of N pairs the poses return to the former path.
 
-    def has_edge(self, difference: Size) -> bool:
-        """Return whether a motion is an edge: a difference that crosses zero is no return."""
-        by_m, by_deg = self.by_parts
-        return (by_m and difference.m > self.first_size.m / 2) or (
-            by_deg and difference.deg > self.first_size.deg / 2
+        There, the difference to the last good pair is small, and the motion is an edge: a
+        difference that crosses zero is no return. `sizes`: (2, N) of the step before, metres and
+        deg; `limits`: of the usual `totals`.
+        """
+        parts = _larger_parts(
+            *(size / most for size, most in zip(sizes, self.limits, strict=True))
         )
+        is_near, is_edge = np.ones(len(totals.m), dtype=bool), np.zeros(len(totals.m), dtype=bool)
+        for kind, by_part in enumerate(parts):
+            size = sizes[kind]
+            least = np.maximum(size * _BACK, np.minimum(limits[kind], size / 2))
+            is_near &= ~by_part | (totals[kind] < least)
+            is_edge |= by_part & (motions[kind] > self.first_size[kind] / 2)
+        return is_near & is_edge
 
     def end_of_motion(self) -> int:
         """Return the row of the pair after the last unusual motion."""
         rows = range(len(self.pairs))
         return next((row for row in rows if self.pairs[row][0] >= self.last_s), len(rows) - 1)
+
+
+def is_lost(lasted_s: Floats | float, unusual: Indices | int) -> Booleans | bool:
+    """Return whether poses (...) neither return nor calm down for a time with unusual motions."""
+    return (lasted_s > _LOST_S) & (unusual > _LOST_MOTIONS)
 
 
 def calm_s(period_s: float) -> float:
@@ -122,10 +134,15 @@ def ratio_of(size: Size, limits: tuple[float, float]) -> float:
 
 def by_parts(size: Size, limits: tuple[float, float]) -> tuple[bool, bool]:
     """Return whether a step is one of position and of rotation; the lesser one may be noise."""
-    m, deg = size.m / limits[0], size.deg / limits[1]
+    by_m, by_deg = _larger_parts(size.m / limits[0], size.deg / limits[1])
+    return bool(by_m), bool(by_deg)
+
+
+def _larger_parts(m: Any, deg: Any) -> tuple[Any, Any]:
+    """Return which of the parts (...), as multiples of their limits, are no noise."""
     return (
-        m > 1.0 and (m > _LESSER * deg or m > _CLEAR),
-        deg > 1.0 and (deg > _LESSER * m or deg > _CLEAR),
+        (m > 1.0) & ((m > _LESSER * deg) | (m > _CLEAR)),
+        (deg > 1.0) & ((deg > _LESSER * m) | (deg > _CLEAR)),
     )
 
 

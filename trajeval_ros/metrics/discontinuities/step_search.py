@@ -37,6 +37,7 @@ from trajeval_ros.metrics.discontinuities.open_step import (
     calm_s,
     is_back,
     is_flip,
+    is_lost,
     ratio_of,
 )
 from trajeval_ros.metrics.discontinuities.pairs import PairSource
@@ -59,6 +60,8 @@ _EXAMINED = range(-1, 4)
 _CALM_PAIRS = 5  # after a step that stays
 _AFTER_GAP_S = 3.2  # motion after a gap that determines a clock step
 _LEAST_ROTATED_DEG = 10.0  # of a step whose body may have rotated: less is an error of a heading
+# Inside a flip, directions in the body are those of another body: lengths are compared.
+_OTHER_BODY_DEG = 25.0
 _FOLLOWED = 64  # pairs that are compared at a time after a step, which mostly ends among them
 
 
@@ -193,43 +196,50 @@ class StepSearch:
     def _follow(self, step: PairStep, previous: Floats, pairs: Floats) -> tuple[Floats, bool]:
         """Take pairs until a step ends; return the pairs after it, and whether a clock stepped."""
         both = np.concatenate([previous[None], pairs[:_FOLLOWED]])
-        difference = self._motion.among(both, slice(-1), slice(1, None))
-        totals = self._motion.between(step.begin, both[1:])
-        limits = np.column_stack(self._usual.limit(np.diff(both[:, 0]))).tolist()
-        since_begin = np.column_stack(self._usual.limit(both[1:, 0] - step.begin[0])).tolist()
-        for row, pair in enumerate(both[1:]):
-            size = difference.size(row)
-            if step.size.deg > 25.0:
-                # Inside a flip, directions in the body are those of another body.
-                size = size._replace(m=float(difference.lengths_m[row]))
-            is_unusual = size.m > limits[row][0] or size.deg > limits[row][1]
-            total = totals.size(row)
-            returns = step.is_back(total, since_begin[row]) and step.has_edge(size)
-            step.add(pair, total, is_unusual=is_unusual)
-            self.previous = pair
-            if returns:
-                self._return(step, pair)
-            elif self._tests_clock(step, pair):
-                step.clock_is_tested = True
-                if self._clocks.correct(step, float(self._usual.limit(2.0)[0])):
-                    self.previous, self.open = step.begin, None
-                    return pairs[:0], True
-            elif self._is_calm(step, pair):
-                self._stay(step)
-            elif step.is_lost(float(pair[0] - step.after[0])):
-                self._lose(step, pair)
-            if self.open is None:
-                break
+        new, seconds = both[1:], both[1:, 0]
+        motions = self._motion.among(both, slice(-1), slice(1, None))
+        totals = self._motion.between(step.begin, new)
+        if step.size.deg > _OTHER_BODY_DEG:
+            motions = motions._replace(m=motions.lengths_m)
+        limit_m, limit_deg = self._usual.limit(np.diff(both[:, 0]))
+        is_unusual = (motions.m > limit_m) | (motions.deg > limit_deg)
+        # The step before and after each of them.
+        sizes = [
+            np.maximum.accumulate(np.append(size, np.where(is_unusual, total, 0.0)))
+            for size, total in zip(step.size, totals[:2], strict=True)
+        ]
+        last_s = np.maximum.accumulate(np.where(is_unusual, seconds, step.last_s))
+        unusual = step.unusual + np.cumsum(is_unusual)
+        numbers = len(step.pairs) + 1 + np.arange(len(new))
+        in_gap, lasted_s = self._in_gap(step), seconds - step.after[0]
+        before = [values[:-1] for values in sizes]
+        since_begin = self._usual.limit(seconds - step.begin[0])
+        is_back = step.are_back(before, totals, since_begin, motions)
+        tests_clock = in_gap & (not step.clock_is_tested) & (lasted_s >= _AFTER_GAP_S)
+        is_calm = (numbers >= _CALM_PAIRS + 2) & (
+            seconds - last_s >= calm_s(self._source.period_s)
+        )
+        is_calm &= step.clock_is_tested or not in_gap
+        ends = is_back | tests_clock | is_calm | is_lost(lasted_s, unusual)
+        if step.size.deg <= _OTHER_BODY_DEG:
+            ends |= sizes[1][1:] > _OTHER_BODY_DEG  # what is unusual changes
+        row = int(ends.argmax()) if ends.any() else len(new) - 1
+        step.add(new[: row + 1])
+        step.size = Size(*(float(values[row + 1]) for values in sizes))
+        step.last_s, step.unusual = float(last_s[row]), int(unusual[row])
+        pair = self.previous = new[row]
+        if is_back[row]:
+            self._return(step, pair)
+        elif tests_clock[row]:
+            step.clock_is_tested = True
+            if self._clocks.correct(step, float(self._usual.limit(2.0)[0])):
+                self.previous, self.open = step.begin, None
+                return pairs[:0], True
+        elif is_calm[row]:
+            self._stay(step)
+        elif is_lost(float(lasted_s[row]), step.unusual):
+            self._lose(step, pair)
         return pairs[row + 1 :], False
-
-    def _tests_clock(self, step: PairStep, pair: Floats) -> bool:
-        is_long = pair[0] - step.after[0] >= _AFTER_GAP_S
-        return self._in_gap(step) and not step.clock_is_tested and is_long
-
-    def _is_calm(self, step: PairStep, pair: Floats) -> bool:
-        lasted_s = pair[0] - step.last_s
-        is_calm = len(step.pairs) >= _CALM_PAIRS + 2 and lasted_s >= calm_s(self._source.period_s)
-        return is_calm and (step.clock_is_tested or not self._in_gap(step))
 
     def _in_gap(self, step: PairStep) -> bool:
         return step.gap_s > GAP * min(self._periods)

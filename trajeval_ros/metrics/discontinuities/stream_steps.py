@@ -21,6 +21,7 @@ from trajeval_ros.metrics.discontinuities.open_step import (
     calm_s,
     is_back,
     is_flip,
+    is_lost,
 )
 from trajeval_ros.metrics.discontinuities.relative_motion import Size
 from trajeval_ros.metrics.discontinuities.step_kinds import is_at_origin
@@ -120,7 +121,7 @@ class StreamSteps:
         size, last = step.parts, step.last
         if step.is_back:
             return kinds.FLIP if is_flip(size) else kinds.OUTLIER
-        if step.is_lost(step.last_s - step.first.begin_s):
+        if is_lost(step.last_s - step.first.begin_s, step.unusual):
             return kinds.LOST
         if is_flip(size):
             return kinds.FLIP_STAYS
