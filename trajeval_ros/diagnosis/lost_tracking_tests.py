@@ -32,7 +32,7 @@ def losses_in(pairs: Association) -> Sequence[Loss]:
         return ()
     # Fixes and points are too few or too noisy to show a divergence.
     diverged = [] if pairs.is_at_groundtruth else divergences_in(pairs.groundtruth, pairs.estimate)
-    return sorted((*pairs.frozen, *diverged), key=lambda loss: loss.t_ns)
+    return sorted((*pairs.tracking.frozen, *diverged), key=lambda loss: loss.t_ns)
 
 
 def is_certain(loss: Loss, pairs: Association) -> bool:

@@ -11,9 +11,10 @@ which are sparse. `continuous` evaluates a model of the groundtruth's motion, al
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,15 @@ if TYPE_CHECKING:
 _ROUNDS = 8  # of closest pairs of `nearest`, before pairs go one by one
 
 
+class Tracking(NamedTuple):
+    """How much of the groundtruth's time the estimate was tracked."""
+
+    # Share of the groundtruth's time that the pairs cover. Groundtruth gaps do not count, except
+    # for `continuous`, which pairs in gaps, too.
+    coverage: Coverage
+    frozen: tuple[Loss, ...] = ()  # times in which the estimate repeats its pose
+
+
 @dataclass(frozen=True, eq=False)
 class Association:
     """N pairs of states, and the number of states without a pair."""
@@ -46,9 +56,8 @@ class Association:
     # Share of the estimate's usable states that are in a pair; None for `groundtruth-stamps` and
     # for points, where it is not defined.
     estimate_coverage: float | None
-    # Share of the groundtruth's time that the pairs cover. Groundtruth gaps do not count, except
-    # for `continuous`, which pairs in gaps, too.
-    coverage: Coverage
+    # Computes `tracking` at its first access: the verification of a mistake does not need it.
+    compute_tracking: Callable[[], Tracking]
     # Number of states without a pair by reason: of the estimate, or of the groundtruth for
     # `groundtruth-stamps`.
     dropped: dict[str, int]
@@ -59,10 +68,19 @@ class Association:
     from_the_start: bool = True  # whether the first pair has the first estimated state
     # Of the estimate, for `groundtruth-stamps`; None if no pair is between two of its states.
     interpolation: Interpolation | None = None
-    frozen: tuple[Loss, ...] = ()  # times in which the estimate repeats its pose
 
     def __len__(self) -> int:
         return len(self.estimate)
+
+    @cached_property
+    def tracking(self) -> Tracking:
+        """Coverage, and the times in which the estimate repeats its pose."""
+        return self.compute_tracking()
+
+    @property
+    def coverage(self) -> Coverage:
+        """The share of the groundtruth's time that the pairs cover, and the longest gap."""
+        return self.tracking.coverage
 
     @property
     def groundtruth_coverage(self) -> float:
@@ -139,24 +157,26 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     # Without timestamps in the estimate, a pair has the groundtruth's.
     stamps = paired.stamps if by_row and groundtruth.reading.stamped else pairs.stamps
     paired = dataclasses.replace(paired, stamps=stamps)
-    frozen, frozen_ns = ((), 0) if by_row else frozen_in(paired, pairs, rule)
-    # Coverage counts a groundtruth state once, also if several pairs share it.
-    once = (
-        paired
-        if groundtruth_rows is None
-        else paired[np.unique(groundtruth_rows, return_index=True)[1]]
-    )
+
+    def tracking() -> Tracking:
+        frozen, frozen_ns = ((), 0) if by_row else frozen_in(paired, pairs, rule)
+        if completed is not None:
+            return Tracking(completed, frozen)
+        once = paired  # a groundtruth state counts once, also if several pairs share it
+        if groundtruth_rows is not None:
+            once = paired[np.unique(groundtruth_rows, return_index=True)[1]]
+        return Tracking(coverage_of(groundtruth, once, rule, frozen_ns), frozen)
+
     return Association(
         rule=rule,
         groundtruth=paired,
         estimate=dataclasses.replace(pairs, stamps=stamps),
         estimate_coverage=share,
-        coverage=completed or coverage_of(groundtruth, once, rule, frozen_ns),
+        compute_tracking=tracking,
         dropped=add_counts(estimate.reading.dropped, dropped),
         continuous=continuous,
         groundtruth_rows=groundtruth_rows,
         from_the_start=bool(pairs.stamps[0] == shifted.stamps[0]),
-        frozen=frozen,
     )
 
 
@@ -207,17 +227,20 @@ def _at_groundtruth(
         raise _no_match(groundtruth, states, dropped, rule)
     meter = InterpolationMeter()
     meter.add(states.stamps, states.positions)
-    frozen, _ = frozen_in(groundtruth[rows], between, rule)
+    paired = groundtruth[rows]
+
+    def tracking() -> Tracking:
+        return Tracking(completeness(groundtruth, rows), frozen_in(paired, between, rule)[0])
+
     return Association(
         rule=rule,
-        groundtruth=groundtruth[rows],
+        groundtruth=paired,
         estimate=between,
         estimate_coverage=None,
-        coverage=completeness(groundtruth, rows),
+        compute_tracking=tracking,
         dropped=add_counts(estimate.reading.dropped, dropped),
         groundtruth_rows=rows,
         interpolation=meter.interpolation if bracket.is_between else None,
-        frozen=frozen,
     )
 
 

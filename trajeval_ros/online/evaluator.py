@@ -12,7 +12,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.association import Association, Tracking
 from trajeval_ros.metrics.association_rule import AUTO
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.discontinuities.events import FROZEN
@@ -241,12 +241,13 @@ class OnlineEvaluator:
             )
         self._measure()
         pairs = self.store.pairs(np.arange(len(self.store)))  # copies
+        coverage = self._coverage.coverage() or Coverage(0.0, 0.0)
+        frozen = tuple(loss for loss in self.losses.events if loss.kind == FROZEN)
         return dataclasses.replace(
             self._associated(pairs),
             estimate_coverage=self._estimate_coverage(),
-            coverage=self._coverage.coverage() or Coverage(0.0, 0.0),
+            compute_tracking=lambda: Tracking(coverage, frozen),
             dropped=self.buffer.dropped,
-            frozen=tuple(loss for loss in self.losses.events if loss.kind == FROZEN),
         )
 
     def _associated(self, pairs: PairedStates) -> Association:
@@ -256,7 +257,7 @@ class OnlineEvaluator:
             groundtruth=pairs.groundtruth,
             estimate=pairs.estimate,
             estimate_coverage=0.0,
-            coverage=Coverage(0.0, 0.0),
+            compute_tracking=lambda: Tracking(Coverage(0.0, 0.0)),
             dropped={},
             from_the_start=self.buffer.at_groundtruth
             or bool(pairs.stamps[0] == self.buffer.estimate_counts.first),

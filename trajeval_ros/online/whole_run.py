@@ -11,7 +11,7 @@ from trajeval_ros.geometry.arrays import Indices, Stamps
 from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.association import Association, Tracking
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
 from trajeval_ros.metrics.protocol import Protocol
@@ -140,6 +140,6 @@ def association_of(pairs: PairedStates, protocol: Protocol) -> Association:
         groundtruth=groundtruth,
         estimate=estimate,
         estimate_coverage=1.0,
-        coverage=Coverage(1.0, 1.0),
+        compute_tracking=lambda: Tracking(Coverage(1.0, 1.0)),
         dropped={},
     )
