@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
 from trajeval_ros.diagnosis.findings import Detection
@@ -219,23 +220,29 @@ def search_rate(
     factors = np.geomspace(_SLOWEST, _FASTEST, max(int(np.log(_FASTEST / _SLOWEST) / step), 2))
 
     @functools.cache
-    def spectra(size: int) -> tuple[Any, Any]:
+    def spectra(size: int) -> NDArray[Any]:
         values = groundtruth.standardized[: len(estimate.values)]
-        return np.fft.rfft(values, size), np.fft.rfft(values**2, size)
+        return np.fft.rfft(np.concatenate([values, values**2]), size)
 
     def score(part: RatesOfMotion, factor: float) -> float:
-        """Return the largest log odds over all offsets, per second; gaps count as the mean."""
+        """Return a value that grows with the largest log odds over all offsets.
+
+        Gaps count as the mean.
+        """
         stretched = part.by_faster_clock(factor)
         values = (stretched.values * factor * stretched.known)[: len(groundtruth.values)]
         least = values.shape[-1] + len(groundtruth.known) - 1
         # The shortest fast transform without a wrap.
         size = min(n << max((-(-least // n) - 1).bit_length(), 0) for n in (1, 3, 5, 9))
-        others, squares = spectra(size)
-        product = np.fft.irfft(np.conj(np.fft.rfft(values, size)) * others, size)
-        energy = np.fft.irfft(np.conj(np.fft.rfft(stretched.known, size)) * squares, size)
+        spectrum = np.conj(np.fft.rfft(np.vstack([values, stretched.known]), size))
+        kinds = len(values)
+        rows = np.append(np.arange(kinds), [kinds] * kinds)  # values, and what is known for each
+        products, energies = np.split(np.fft.irfft(spectrum[rows] * spectra(size), size), 2)
         count = float(stretched.known.sum())
-        norm = np.sqrt(np.maximum(energy, 0.3 * count) * count + 1e-9)
-        return float(_log_odds(product / norm, 1.0).max())
+        squared = np.maximum(products, 0.0) ** 2 / (
+            np.maximum(energies, 0.3 * count) * count + 1e-9
+        )
+        return -float(np.prod(1.0 - np.minimum(squared, _LARGEST**2), axis=0).min())
 
     while True:
         half = 0.5 * span_s / total_s

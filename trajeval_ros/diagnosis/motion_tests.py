@@ -45,7 +45,7 @@ from trajeval_ros.diagnosis.motion_parameters import (
 )
 from trajeval_ros.diagnosis.short_motions import ShortMotions
 from trajeval_ros.diagnosis.world_axes import vertical_axes
-from trajeval_ros.geometry.arrays import lengths
+from trajeval_ros.geometry.arrays import Indices, lengths
 from trajeval_ros.metrics.statistics import median, quantile
 
 _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1  # of the groundtruth to interpolate across
@@ -57,6 +57,7 @@ _AT_REST_RAD = 0.01  # median rotation of a body that does not rotate, which is 
 # Euler angles look like other conventions, and more are slower to test.
 _ONE_AXIS = 0.2
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
+_NOISE = 0.1  # of these lengths, relative to them: if they differ by more, no model fits
 _REFINED_S = 0.03  # largest clock error from which on motions are sampled again
 _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
 # Of the time between two frames, healthy offset of the timestamps; and quantile of the estimate's
@@ -120,7 +121,7 @@ class _Comparison:
         read = scores.read(HYPOTHESES[0])
         rotated = (lengths(vectors) for vectors in (read.truth.motions[0], read.rotations))
         rotates = oriented and max(map(median, rotated)) > _AT_REST_RAD
-        if rotates and not self.is_held and self._may_be_euler(scores, best):
+        if rotates and not self.is_held and self._may_be_euler(scores, best, as_read):
             models += scores.likeliest(EULER_HYPOTHESES)
             best = _best(models)
         related = max(best.log_likelihood, unrelated.positions) - unrelated.motions
@@ -167,21 +168,18 @@ class _Comparison:
         match = self.clock.match
         return match is not None and match.overlap_s > _LONG_S and correlation < least
 
-    def _may_be_euler(self, scores: ModelScores, best: Model) -> bool:
-        """Return whether directions of rotations fit worse than their lengths, or tell little."""
-        if scores.unrelated.positions + 2.0 * MISTAKE > best.score:
-            return True
-        read = scores.read(best.hypothesis)
-        # Near the middle of the run, a wrong rate of the clock shifts the motions least.
-        rows = np.argsort(np.abs(self.motions.seconds))[: len(self.motions) // 3 + 1]
-        rotations, unit = read.truth.motions[0][rows], read.truth.units[0][rows]
-        _, second, first = np.linalg.eigvalsh(rotations.T @ rotations)
-        if best.cause != AS_READ and second < _ONE_AXIS**2 * first:
-            return True
-        rotated = read.rotations[rows] @ best.body.T
-        apart = lengths(rotations - rotated) / unit
-        sizes_apart = np.abs(lengths(rotations) - lengths(rotated)) / unit
-        return median(apart) > _MISFIT * (median(sizes_apart) + 0.01)
+    def _may_be_euler(self, scores: ModelScores, best: Model, as_read: Model) -> bool:
+        """Return whether no model explains the directions of the rotations in a part of the run.
+
+        A convention holds for the whole run, but a body flips and a clock drifts during it.
+        """
+        rows = np.arange(len(self.motions))
+        if _fits(scores, best, rows):
+            return False
+        thirds = np.array_split(rows, 3)
+        return not any(
+            _fits(scores, model, third) for model in (best, as_read) for third in thirds
+        )
 
     def _unrelated(self, statistics: dict[str, float], *, is_apart: bool = True) -> TestResult:
         match, why_not = self.clock.match, "the motions do not agree"
@@ -259,6 +257,25 @@ class _Comparison:
         statistics = {"scale": scale, "sigma_of_log": math.sqrt(variance)}
         seen = naming.unit_or_scale(scale, variance, self.motions, self.inputs.gauge)
         return TestResult("scale", statistics, seen)
+
+
+def _fits(scores: ModelScores, model: Model, rows: Indices) -> bool:
+    """Return whether a model explains the directions of rotations, in rows of the motions.
+
+    They are about several axes there, unless they are those of the whole run as it is read.
+    """
+    read = scores.read(model.hypothesis)
+    rotations, unit = read.truth.motions[0], read.truth.units[0][rows]
+    most = np.linalg.norm(rotations, ord=2) / math.sqrt(len(rotations))
+    rotations = rotations[rows]
+    second = np.linalg.svd(rotations, compute_uv=False)[1] / math.sqrt(len(rows))
+    is_as_read = model.cause == AS_READ and len(rows) == len(scores.motions)
+    if second < _ONE_AXIS * most and not is_as_read:
+        return False
+    rotated = read.rotations[rows] @ model.body.T
+    apart = lengths(rotations - rotated) / unit
+    sizes_apart = np.abs(lengths(rotations) - lengths(rotated)) / unit
+    return median(apart) <= _MISFIT * (min(median(sizes_apart), _NOISE) + 0.01)
 
 
 def _best(models: Iterable[Model]) -> Model:

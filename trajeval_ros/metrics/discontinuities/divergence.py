@@ -119,9 +119,10 @@ class Divergence:
     def _take(self, spans: Stamps, steps: Floats) -> None:
         """Take n steps with stamps (2, n) of one chunk."""
         if self._rotations is not None:
-            excess, of_body = (ratio / self._limit - 1.0 for ratio in self._ratios_of(steps))
+            apart_m = self._apart_m(steps)
+            ratios = self._ratios_of(steps, apart_m)
+            excess, of_body = (ratio / self._limit - 1.0 for ratio in ratios)
             if self._sum or self._is_lost or self._runs_away or (excess > 0.0).any():
-                apart_m = self._apart_m(steps)[0]
                 scale = self._scale if self._agreed else self._first_scale
                 columns = (
                     *spans,
@@ -131,7 +132,7 @@ class Divergence:
                     of_body,
                 )
                 rows = zip(*(column.tolist() for column in columns), strict=True)
-                for row, step_m in zip(rows, apart_m.T.tolist(), strict=True):
+                for row, step_m in zip(rows, apart_m[0].T.tolist(), strict=True):
                     self._follow(*row, apart_m=step_m)
         self._chunk = np.hstack([self._chunk, steps])
         if self._chunk.shape[1] == _CHUNK:
@@ -195,15 +196,15 @@ class Divergence:
         if is_over and not self._ran_away:  # any motion agrees with a scale that was never right
             event.is_over, self._sum = True, 0.0
 
-    def _ratios_of(self, steps: Floats) -> tuple[Floats, Floats]:
-        """Return the ratios (n,) of difference and distance, in the frames and in the bodies.
+    def _ratios_of(self, steps: Floats, apart_m: Floats) -> tuple[Floats, Floats]:
+        """Return the ratios (n,) of differences (2, 3, n) and distance, in frames and bodies.
 
         Without orientations, differences of lengths take the place of those in the bodies.
         """
-        apart_m, in_body_m = _lengths(self._apart_m(steps))
+        in_frame_m, in_body_m = _lengths(apart_m)
         lengths_m = np.abs(self._scale * steps[_ESTIMATE_M] - steps[_GROUNDTRUTH_M])
         unit_m = steps[_GROUNDTRUTH_M] + _NOISE_MPS * steps[_TIME_S]
-        return apart_m / unit_m, np.where(np.isnan(in_body_m), lengths_m, in_body_m) / unit_m
+        return in_frame_m / unit_m, np.where(np.isnan(in_body_m), lengths_m, in_body_m) / unit_m
 
     def _apart_m(self, steps: Floats) -> Floats:
         """Return the differences (2, 3, n) of displacements, in the frames and in the bodies."""
@@ -214,7 +215,7 @@ class Divergence:
     def _learn(self, steps: Floats) -> None:
         """Fit rotation and scale to steps (15, n) and those before, and learn the differences."""
         if self._rotations is not None:
-            ratios = np.minimum(*self._ratios_of(steps))
+            ratios = np.minimum(*self._ratios_of(steps, self._apart_m(steps)))
             moves = steps[_GROUNDTRUTH_M] > _MOVES_MPS * steps[_TIME_S]
             # What may be a divergence is not usual, unless it lasts without being one.
             if not self._sum or self._steps_since > _CHUNK:

@@ -52,30 +52,15 @@ def unusual_times(
     """
     if len(pairs) < _FEW_PAIRS or any(map(_has_irregular_stamps, (groundtruth, estimate))):
         return None
-    true, aligned = pairs.groundtruth, similarity.trajectory(pairs.estimate)
-    roots = _roots_of_steps(true.stamps)
-    differences = [lengths(np.diff(true.positions - aligned.positions, axis=0))]
-    unusual, limits_m = _unusual(differences, roots, LEAST_M)
-    limits_deg = np.full(len(roots), np.inf)
-    if true.quaternions is not None and aligned.quaternions is not None:
-        back = lie.conjugate(aligned.quaternions)
-        angles = [_angles(lie.multiply(lie.conjugate(true.quaternions), aligned.quaternions))]
-        rotates, limits_deg = _unusual(angles, roots, LEAST_DEG)
-        if unusual.any() or rotates.any():
-            # Where the alignment does not fit, rotations between the worlds may.
-            worlds = lie.multiply(true.quaternions, back)
-            steps, true_steps = (np.diff(side.positions, axis=0) for side in (aligned, true))
-            differences.append(lengths(true_steps - lie.rotate(worlds[1:], steps)))
-            angles.append(_angles(worlds))
-            unusual, limits_m = _unusual(differences, roots, LEAST_M)
-            rotates, limits_deg = _unusual(angles, roots, LEAST_DEG)
-        unusual |= rotates
+    true, roots = pairs.groundtruth, _roots_of_steps(pairs.groundtruth.stamps)
+    if in_gaps and not (roots > 1.0).any():
+        return true.stamps[:0]
+    unusual, limits = _unusual_motions(true, similarity.trajectory(pairs.estimate), roots)
     if in_gaps:
         unusual &= roots > 1.0
     times = true.stamps[1:][unusual]
     if not len(times) or has_repeats(groundtruth) or has_repeats(estimate):
         return times  # a repeated pose is a gap
-    limits = limits_m, limits_deg
     # The search compares motions until they are usual for this time.
     usual_ns = median(np.diff(true.stamps))
     before_ns = round(GAP * usual_ns)
@@ -87,8 +72,38 @@ def unusual_times(
     ]
     known = np.sort(np.concatenate(sudden))
     first, last = known.searchsorted([times - before_ns, times + after_ns])
-    near: Stamps = times[last > first]
-    return near
+    with_changes: Stamps = times[last > first]
+    return with_changes
+
+
+def _unusual_motions(
+    true: Trajectory, aligned: Trajectory, roots: Floats
+) -> tuple[Booleans, tuple[Floats, Floats]]:
+    """Return which motions (N - 1,) between pairs differ by more than usual, and the limits.
+
+    These are metres and deg; `roots` (N - 1,) of the time steps.
+    """
+    differences = lengths(np.diff(true.positions - aligned.positions, axis=0))
+    unusual, limits_m = _unusual([differences], roots, LEAST_M)
+    if true.quaternions is None or aligned.quaternions is None:
+        return unusual, (limits_m, np.full(len(roots), np.inf))
+    angles = _angles(lie.multiply(lie.conjugate(true.quaternions), aligned.quaternions))
+    rotates, limits_deg = _unusual([angles], roots, LEAST_DEG)
+    unusual |= rotates
+    rows = np.flatnonzero(unusual)
+    if len(rows):  # where the alignment does not fit, rotations between the worlds may
+        blocks = rows[[0, -1]] // _BLOCK * _BLOCK
+        near = slice(max(int(blocks[0]) - _BLOCK, 0), int(blocks[1]) + _BLOCK)
+        ends = slice(near.start, near.stop + 1)
+        worlds = lie.multiply(true.quaternions[ends], lie.conjugate(aligned.quaternions[ends]))
+        steps, true_steps = (np.diff(side.positions[ends], axis=0) for side in (aligned, true))
+        moved = lengths(true_steps - lie.rotate(worlds[1:], steps))
+        by_m, limits_m[near] = _unusual([differences[near], moved], roots[near], LEAST_M)
+        by_deg, limits_deg[near] = _unusual(
+            [angles[near], _angles(worlds)], roots[near], LEAST_DEG
+        )
+        unusual[near] = by_m | by_deg
+    return unusual, (limits_m, limits_deg)
 
 
 def _sudden_times(
