@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
+from trajeval_ros import AssociationRule, Protocol, Trajectory
 from trajeval_ros.diagnosis import column_tests
 from trajeval_ros.diagnosis.findings import TestResult
-from trajeval_ros.diagnosis.input_pair import TimedPoses
+from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 
@@ -23,22 +21,16 @@ def seen_by(
     estimate: TimedPoses,
     gauge: Gauge = Gauge.YAW,
     *,
-    max_gap_s: float = 0.5,
     by_time: bool = True,
 ) -> TestResult:
-    sides: dict[str, Any] = {
-        side: SimpleNamespace(stamps=np.rint(poses.seconds * SECOND).astype(np.int64))
-        for side, poses in (("groundtruth", groundtruth), ("estimate", estimate))
-    }
-    inputs: Any = SimpleNamespace(
-        **sides,
-        poses={"estimate": estimate, "groundtruth": groundtruth},
-        has_enough=min(len(groundtruth), len(estimate)) >= 12,
-        in_order=(groundtruth, estimate),
-        gauge=gauge,
-        max_gap_s=max_gap_s,
-        by_time=by_time,
+    rule = AssociationRule("linear" if by_time else "index")
+    sides = (
+        Trajectory(
+            np.rint(poses.seconds * SECOND).astype(np.int64), poses.positions, poses.quaternions
+        )
+        for poses in (groundtruth, estimate)
     )
+    inputs = InputPair(*sides, Protocol(gauge=gauge, association=rule), 0.0)
     result: TestResult = getattr(column_tests, test.replace(" ", "_"))(inputs)
     return result
 
