@@ -82,13 +82,17 @@ def is_earth_centred(positions: Floats) -> bool:
 
     Then no axis of their frame is vertical. Places within 20 km of the equator are not recognised.
     """
-    distances = np.linalg.norm(positions, axis=1)
     least, most = _SURFACE_M
-    return bool(
-        len(positions)
-        and np.all((least < distances) & (distances < most))
-        and np.all(np.abs(positions[:, 2]) > _OFF_EQUATOR_M)
-    )
+    for some in (positions[:1], positions):  # the first one decides most often
+        distances = np.linalg.norm(some, axis=1)
+        is_centred = (
+            len(some)
+            and np.all((least < distances) & (distances < most))
+            and np.all(np.abs(some[:, 2]) > _OFF_EQUATOR_M)
+        )
+        if not is_centred:
+            return False
+    return True
 
 
 def rotated_covariances(covariances: Floats, places: Floats, datum: Datum) -> Floats:
