@@ -307,6 +307,8 @@ def test_far_from_unusual_motions_nothing_is_lost(at_s: list[float]) -> None:
     assert [(event.kind, event.side, event.end_ns) for event in near] == [
         (event.kind, event.side, event.end_ns) for event in events
     ]
+    # The rotation and scale of the frames are learned from nearly the same pairs.
+    assert [event.m for event in near] == pytest.approx([event.m for event in events], rel=1e-3)
     assert len(events) == len(at_s)
 
 

@@ -14,6 +14,8 @@ from trajeval_ros.metrics.discontinuities.stamp_steps import StampSteps
 from trajeval_ros.metrics.statistics import median
 
 _SAME = 1e-9  # largest difference of repeated numbers
+_COLUMNS = slice(0, 3), slice(3, 7)  # of the position and of the orientation
+_IDENTITY = 0.0, 0.0, 0.0, 1.0  # without orientations
 _FROZEN_S = 1.0  # an estimate at 2 Hz that is published at a higher rate repeats a pose for 0.5 s
 POSE, POSITION, ROTATION = "pose", "position", "rotation"  # parts that can be repeated
 # Poses that are stored: all, those of which some part differs from the pose before, or both do.
@@ -105,14 +107,12 @@ class SidePoses:
         """
         if not len(stamps):
             return
-        positions, quaternions = poses[:, :3], np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
-        kept = np.isfinite(stamps) & np.isfinite(positions).all(axis=1)
-        if self._oriented:
-            quaternions = lie.normalized(poses[:, 3:7])
-            kept &= np.isfinite(quaternions).all(axis=1)
+        rows = np.empty((len(stamps), 7))
+        rows[:, :3] = poses[:, :3]
+        rows[:, 3:] = lie.normalized(poses[:, 3:7]) if self._oriented else _IDENTITY
+        kept = np.isfinite(stamps) & np.isfinite(rows).all(axis=1)
         newest = np.maximum.accumulate(np.where(kept, stamps, -math.inf))
         kept &= stamps > np.maximum(np.append(-math.inf, newest[:-1]), self.newest_s)
-        rows = np.hstack([positions, quaternions])
         if not kept.all():
             stamps, rows = stamps[kept], rows[kept]
         if self._last is None and len(stamps):
@@ -121,9 +121,7 @@ class SidePoses:
             stamps, rows = stamps[1:], rows[1:]
         if self._last is None or not len(stamps):
             return
-        is_same = np.abs(np.diff(rows, axis=0, prepend=self._last[None])) <= _SAME
-        held = np.logical_and.reduce(is_same[:, :3], axis=1)
-        stands = np.logical_and.reduce(is_same[:, 3:], axis=1)
+        held, stands = (self._is_same(rows, columns) for columns in _COLUMNS)
         # A sensor without orientation may write the identity.
         rotated = np.logical_or.accumulate(~stands) | self._has_rotated
         self._has_rotated = bool(rotated[-1])
@@ -137,6 +135,16 @@ class SidePoses:
         if self._stored != ALL and dropped.any():
             stamps, rows = stamps[~dropped], rows[~dropped]
         self._append(stamps, rows)
+
+    def _is_same(self, rows: Floats, columns: slice) -> Booleans:
+        """Return which rows (N, 7) repeat columns of the row before."""
+        assert self._last is not None
+        first = np.diff(rows[:, columns.start], prepend=self._last[columns.start])
+        is_same: Booleans = np.abs(first) <= _SAME
+        if is_same.any():  # the first column decides most often
+            steps = np.diff(rows[:, columns], axis=0, prepend=self._last[None, columns])
+            is_same &= np.logical_and.reduce(np.abs(steps) <= _SAME, axis=1)
+        return is_same
 
     def at(self, times: Floats, longest_s: float = math.inf) -> tuple[Floats, Booleans]:
         """Interpolate at N times between stored poses that are at most `longest_s` apart.

@@ -11,6 +11,9 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.one_stream import OneStream
+from trajeval_ros.metrics.discontinuities.relative_motion import CELL_S
+from trajeval_ros.metrics.discontinuities.screening import repeated_rows
+from trajeval_ros.metrics.discontinuities.step_search import LEARN_S, examined_intervals
 
 _BLOCK_S = 60.0  # messages that are taken at a time: more take memory, fewer time
 
@@ -29,6 +32,8 @@ def discontinuities(
     """
     if offset_ns:
         estimate = dataclasses.replace(estimate, stamps=estimate.stamps + offset_ns)
+    if unusual is not None:
+        groundtruth, estimate = _needed(groundtruth, estimate, unusual)
     oriented = groundtruth.quaternions is not None and estimate.quaternions is not None
     search, sides, blocks = Discontinuities(oriented=oriented, unusual=unusual), [], []
     times = [item.reading.receive_times for item in (groundtruth, estimate)]
@@ -52,6 +57,38 @@ def discontinuities(
             search.add(SIDES[number], stamps[begin:end], poses[begin:end], part)
             rows[number] = end
     return search.finish()
+
+
+def _needed(
+    groundtruth: Trajectory, estimate: Trajectory, unusual: Stamps
+) -> tuple[Trajectory, Trajectory]:
+    """Return two sides in order of time without the poses that the search does not use.
+
+    Far from `unusual` motions (K,) and from repeated poses, it learns from the first pair of a
+    cell of time alone, which may be interpolated between two poses.
+    """
+    sides = groundtruth, estimate
+    begin_ns = max(int(side.stamps[0]) for side in sides)
+    used = np.concatenate([unusual, *(side.stamps[repeated_rows(side)] for side in sides)])
+    examined = examined_intervals((used - begin_ns) / NANOSECONDS)
+    learned = [0, *examined, *(number - 1 for number in examined)]
+    seconds = [(side.stamps - begin_ns) / NANOSECONDS for side in sides]
+    # Of a cell, its first pose and the neighbours, since the first pair may be one by rounding.
+    firsts = [
+        np.convolve(np.diff(times // CELL_S, prepend=-np.inf) > 0.0, [1, 1, 1], "same") > 0
+        for times in seconds
+    ]
+    needed = []
+    for number, times in enumerate(seconds):
+        # The first motion of an interval begins in the cell before it.
+        is_needed = firsts[number] | np.isin(times // LEARN_S, learned)
+        is_needed |= np.isin((times + CELL_S) // LEARN_S, learned)
+        other = 1 - number
+        rows = times.searchsorted(seconds[other][firsts[other]])
+        for near in (-1, 0, 1):  # between which it is interpolated
+            is_needed[(rows + near).clip(0, len(times) - 1)] = True
+        needed.append(sides[number][is_needed])
+    return needed[0], needed[1]
 
 
 def stream_discontinuities(trajectory: Trajectory, side: str) -> list[Event]:

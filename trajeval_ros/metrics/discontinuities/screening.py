@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, lengths
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, lengths
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
@@ -154,9 +154,23 @@ def _has_irregular_stamps(side: Trajectory) -> bool:
 
 def has_repeats(side: Trajectory) -> bool:
     """Return whether a part of a pose is repeated, but for a rotation that never changes."""
-    parts = [side.positions] if side.quaternions is None else [side.positions, side.quaternions]
-    repeats = [(part[1:] == part[:-1]).all(axis=1) for part in parts]
-    return bool(repeats[0].any() or (repeats[-1].any() and not repeats[-1].all()))
+    return len(repeated_rows(side)) > 0
+
+
+def repeated_rows(side: Trajectory) -> Indices:
+    """Return the rows that repeat a part of the pose before, but of a constant rotation."""
+    rows = _repeats_of(side.positions)
+    if side.quaternions is None:
+        return rows
+    rotations = _repeats_of(side.quaternions)
+    return np.append(rows, rotations) if len(rotations) < len(side) - 1 else rows
+
+
+def _repeats_of(part: Floats) -> Indices:
+    """Return the rows of a part (N, K) that are equal to the row before."""
+    rows = 1 + np.flatnonzero(part[1:, 0] == part[:-1, 0])  # the first column decides most often
+    repeats: Indices = rows[(part[rows] == part[rows - 1]).all(axis=1)]
+    return repeats
 
 
 def _roots_of_steps(stamps: Stamps) -> Floats:
@@ -175,12 +189,18 @@ def _unusual(kinds: Sequence[Floats], roots: Floats, least: float) -> tuple[Bool
     Of several kinds of changes, the one with the smallest median there is compared. The limit
     follows from the changes before, too, since all may grow there.
     """
-    unusual, limits, before = np.empty(len(roots), dtype=bool), roots.copy(), np.inf
-    for begin in range(0, len(roots), _BLOCK):
-        block = slice(max(0, min(begin, len(roots) - _BLOCK)), begin + _BLOCK)
-        usual, _, changes = min((median(kind[block]), row, kind) for row, kind in enumerate(kinds))
-        rows = slice(begin, begin + _BLOCK)
-        limits[rows] *= max(least, _OF_MEDIAN * min(usual, before))
-        unusual[rows] = changes[rows] > limits[rows]
-        before = usual
-    return unusual, limits
+    count, size = len(roots), min(_BLOCK, len(roots))
+    begins = np.minimum(np.arange(0, count, _BLOCK), count - size)
+    medians = np.stack([_medians(changes, begins, size) for changes in kinds])
+    usual, block_of = medians.min(axis=0), np.arange(count) // _BLOCK
+    before = np.append(np.inf, usual[:-1])
+    limits = np.maximum(least, _OF_MEDIAN * np.minimum(usual, before))[block_of] * roots
+    changes = np.stack(kinds)[medians.argmin(axis=0)[block_of], np.arange(count)]
+    return changes > limits, limits
+
+
+def _medians(values: Floats, begins: Indices, size: int) -> Floats:
+    """Return the medians (B,) of as many successive values from each of the begins (B,) on."""
+    middle = [(size - 1) // 2, size // 2]
+    blocks = np.lib.stride_tricks.sliding_window_view(values, size)[begins]
+    return np.asarray(np.partition(blocks, middle, axis=1)[:, middle].mean(axis=1))

@@ -53,7 +53,7 @@ from trajeval_ros.metrics.discontinuities.step_kinds import kind_of_step, rotate
 from trajeval_ros.metrics.discontinuities.usual_differences import UsualDifferences
 
 _BURN_IN_S, _BURN_IN_PAIRS = 4.0, 12  # the first pairs are judged in retrospect
-_LEARN_S = 20.0  # time between updates of the limits of usual motion: a shorter one costs time
+LEARN_S = 20.0  # time between updates of the limits of usual motion: a shorter one costs time
 # Intervals about an unusual motion that are examined: what is usual is learned before, and the
 # poses may return after it (`RETURN_S`).
 _EXAMINED = range(-1, 4)
@@ -63,6 +63,12 @@ _LEAST_ROTATED_DEG = 10.0  # of a step whose body may have rotated: less is an e
 # Inside a flip, directions in the body are those of another body: lengths are compared.
 _OTHER_BODY_DEG = 25.0
 _FOLLOWED = 64  # pairs that are compared at a time after a step, which mostly ends among them
+
+
+def examined_intervals(seconds: Floats) -> set[int]:
+    """Return the numbers of the intervals about unusual motions, at times (K,) since the begin."""
+    numbers = np.floor(seconds / LEARN_S).astype(np.int64)
+    return {number + near for number in set(numbers.tolist()) for near in _EXAMINED}
 
 
 class StepSearch:
@@ -95,10 +101,7 @@ class StepSearch:
         # Numbers of the intervals that are examined; None for all. That before them is learned.
         self._examined: set[int] | None = None
         if unusual_s is not None:
-            numbers = np.floor((unusual_s - source.begin_s) / _LEARN_S).astype(np.int64)
-            self._examined = {
-                number + near for number in set(numbers.tolist()) for near in _EXAMINED
-            }
+            self._examined = examined_intervals(unusual_s - source.begin_s)
         # Steps that may return: begin, end, event, and the body's rotation before them.
         self._stayed: deque[tuple[Floats, Floats, Event, BodyState]] = deque(maxlen=MOST_STAYED)
 
@@ -160,8 +163,8 @@ class StepSearch:
     def _pass(self, previous: Floats, pairs: Floats) -> Floats:
         """Learn pairs of usual motion until a step begins; return the pairs after it."""
         begin_s = self._source.begin_s
-        interval = int((pairs[0, 0] - begin_s) / _LEARN_S)
-        count = max(1, int(pairs[:, 0].searchsorted(begin_s + (interval + 1) * _LEARN_S)))
+        interval = int((pairs[0, 0] - begin_s) / LEARN_S)
+        count = max(1, int(pairs[:, 0].searchsorted(begin_s + (interval + 1) * LEARN_S)))
         is_examined = self._examined is None or interval in self._examined
         if self._examined is not None and not {interval, interval + 1} & self._examined:
             self._good(pairs[:count])
