@@ -44,7 +44,9 @@ from trajeval_ros.papers.gauge_trials import free_covariance
 from trajeval_ros.papers.scene import PROFILES, Scene
 from trajeval_ros.papers.solver import GaugeHandling, solve
 
-RUNS = 500
+# With 53 or more degrees of freedom, the mean NEES of so many runs is known to 1.4 %: its band
+# finds covariances that are 4 % too small or too large.
+RUNS = 200
 PER_POSE_DOF = 6
 
 
@@ -277,24 +279,6 @@ def test_bound_from_marginals_acquits_the_honest_and_convicts_the_bad(
         assert honest < 1.0
     if gauge is Gauge.YAW:
         assert np.mean(bad) > 1.0
-
-
-@pytest.mark.slow
-def test_honest_samples_few_runs() -> None:
-    """The same as above in small, for every run of the tests."""
-    scene = scene_of("rec", "random")
-    truth, sampler = trajectory_of(scene, scene.groundtruth), Sampler(scene)
-    generator, count = np.random.default_rng(1), 60
-    runs = [sampler.draw(generator) for _ in range(count)]
-    for gauge, states in ALIGNMENTS:
-        values = []
-        for run in runs:
-            covariance = some_covariance(run.information.toarray())
-            estimate = trajectory_of(scene, run.state)
-            item = aligned_run(gauge, states, truth, estimate, covariance)
-            values.append(_joint(item) / item.transformation.dof)
-        low, high = band_of_mean(item.transformation.dof, count)
-        assert low < np.mean(values) < high
 
 
 def test_runs_begin_in_a_frame_of_their_own() -> None:

@@ -10,6 +10,7 @@ import pytest
 from paths import SHARED
 from scipy.stats import rankdata
 
+from benchmarks import watch
 from benchmarks.watch import NOT_HEALTHY, Healthy, detections, halved, health_of
 from benchmarks.watch_motions import MOTIONS, simulated
 from benchmarks.watch_streams import streams
@@ -83,7 +84,15 @@ def test_pairs_tell_where_s_ptam_is_wrong() -> None:
     assert area >= 0.85
 
 
-def test_the_table_of_faults() -> None:
+TESTED = (
+    *(f"diverging {mps2:g} m/s2" for mps2 in (0.05, 0.2, 1.0)), "yaw 1 deg/s",
+    *("twist x 0.8", "twist x 0.95", "twist in world axes"),
+    *("freeze", "coasting, rotation alive", "coasting, rotation stopped"),
+)  # fmt: skip
+
+
+def test_the_table_of_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watch, "FAULTS", {fault: watch.FAULTS[fault] for fault in TESTED})
     result = detections(list(halves()), 1.0, onsets=2)
 
     def share_and_delay(fault: str, label: str) -> tuple[float, float]:
