@@ -11,7 +11,6 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
 from trajeval_ros.batch.comparison_summary import summary_of
 from trajeval_ros.batch.summary_tables import matrices
-from trajeval_ros.cli.app import main
 from trajeval_ros.report.matrix import to_latex
 
 
@@ -19,8 +18,7 @@ from trajeval_ros.report.matrix import to_latex
 def test_figures_are_written_as_files(tmp_path: Path) -> None:
     out = tmp_path / "out"
     config = write_runs(tmp_path, algorithms=["good"], trials=1)
-    command = ["compare", str(config), "--output", str(out), "-q"]
-    assert main([*command, "--workers", "1"]) == 0
+    assert compare(config, "-q", output=out, figures=2) == 0
     stems = {"ate_position_m", "ate_rotation_deg"}
     for sequence in ("hall", "yard"):
         stems |= {f"re_position_percent_{sequence}", f"re_rotation_deg_{sequence}"}
@@ -31,11 +29,11 @@ def test_figures_are_written_as_files(tmp_path: Path) -> None:
     for path in figures.iterdir():
         path.unlink()
     figures.rmdir()
-    assert main([*command, "--workers", "1"]) == 0
+    assert compare(config, "-q", output=out, figures=2) == 0
     assert {path.name: path.read_bytes() for path in figures.iterdir()} == before
     # Figures of a sequence that is gone do not stay.
     (tmp_path / "runs.yaml").open("a").write("sequences: [hall]\n")
-    assert main([*command, "--workers", "1"]) == 0
+    assert compare(config, "-q", output=out, figures=2) == 0
     assert not list(figures.glob("*yard*"))
     assert list(figures.glob("*hall*"))
 
@@ -44,10 +42,9 @@ def test_figures_are_written_as_files(tmp_path: Path) -> None:
 def test_the_number_of_runs_with_figures_and_their_formats_are_chosen(tmp_path: Path) -> None:
     out = tmp_path / "out"
     config = write_runs(tmp_path, sequences=("hall",))
-    command = ["compare", str(config), "--output", str(out), "--quiet", "--workers", "1"]
-    assert main([*command, "--figures", "2", "--figure-format", "pdf,png"]) == 0
-    kinds = {path.suffix for path in (out / "figures").iterdir()}
-    assert kinds == {".pdf", ".png"}
+    kinds = "--figure-format", "pdf,png"
+    assert compare(config, "--quiet", *kinds, output=out, figures=2) == 0
+    assert {path.suffix for path in (out / "figures").iterdir()} == {".pdf", ".png"}
     assert (out / "figures" / "ate_position_m.pdf").read_bytes().startswith(b"%PDF")
     text = (out / "report.html").read_text()
     folded = text.split("<details ")[1:]
@@ -56,13 +53,13 @@ def test_the_number_of_runs_with_figures_and_their_formats_are_chosen(tmp_path: 
     assert "Figures are drawn for 2 runs with the largest error" in text
     # Other figures are drawn without an evaluation; none leave no figure of before.
     records = (out / "runs" / "all.records").read_bytes()
-    assert main([*command, "--figures", "0"]) == 0
+    assert compare(config, "--quiet", output=out) == 0
     assert not list((out / "figures").iterdir())
     text = (out / "report.html").read_text()
     assert "<svg" not in text
     assert 'href="#figures"' not in text
     assert (out / "runs" / "all.records").read_bytes() == records
-    assert main([*command, "--figure-format", "gif"]) == 2
+    assert compare(config, "--quiet", "--figure-format", "gif", output=out) == 2
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def euroc(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = out.with_name("euroc.yaml")
     one = f"folder: {shared_data / 'euroc'}\nsequences: [V2_03]\n"
     config.write_text(EUROC.read_text() + one)
-    assert main(["compare", str(config), "--output", str(out), "--quiet"]) == 0
+    assert compare(config, "--quiet", output=out, figures=11) == 0
     return out / "report.html"
 
 
@@ -160,7 +160,7 @@ def test_details_of_many_runs_are_on_pages_of_their_own(
 ) -> None:
     monkeypatch.setattr("trajeval_ros.batch.comparison_report._MOST_ON_A_PAGE", 2)
     config, out = write_runs(tmp_path, ["hall"]), tmp_path / "out"
-    assert main(["compare", str(config), "--workers", "1", "--output", str(out), "-q"]) == 0
+    assert compare(config, "-q", output=out, figures=4) == 0
     assert {path.name for path in (out / "report").iterdir()} == {
         f"runs_{number}.html" for number in (1, 2)
     }
@@ -215,11 +215,12 @@ def test_a_table_that_is_too_large_for_a_page_is_cut_and_keeps_its_ranks(
 def test_two_reports_are_the_same_bytes_and_failed_runs_are_in_them(tmp_path: Path) -> None:
     config = write_runs(tmp_path, ["yard"], trials=1)
     (tmp_path / "bad" / "yard_trial0.txt").write_text("no trajectory\n")
-    pages = []
-    for name in ("one", "two"):
-        out = tmp_path / name
-        assert main(["compare", str(config), "--workers", "1", "--output", str(out), "-q"]) == 0
-        pages.append((out / "report.html").read_text())
+    here, there = tmp_path / "here", tmp_path / "there"
+    assert compare(config, "-q", output=here, figures=2) == 0
+    # The figures of a process with another hash of strings.
+    words = ["--workers", "1", "--figures", "2", "--output", str(there)]
+    assert main(["compare", str(config), "-q", *words]) == 0
+    pages = [(out / "report.html").read_text() for out in (here, there)]
     assert pages[0] == pages[1]
     assert "1 failed or missing. Failed runs are ranked last" in pages[0]
     assert '<span class="failed">failed</span>' in pages[0]

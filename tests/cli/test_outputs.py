@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from comparison_runs import write_run, write_runs
+from comparison_runs import compare, write_run, write_runs
 from paths import ROOT
 from text_pairs import pair, refused, write_tum
 
@@ -143,8 +143,7 @@ def test_links_in_the_folder_of_a_comparison_are_not_followed(
         pytest.importorskip(package, reason=f"{package} is missing, the extra `compare`")
     config = write_runs(tmp_path / "runs", ["hall"], ["good"], 1)
     made, out = tmp_path / "made", tmp_path / "out"
-    common = ["compare", str(config), "-q", "--workers", "1", "--output"]
-    assert main([*common, str(made)]) == 0
+    assert compare(config, "-q", output=made) == 0
     links = made_links(out, made, tmp_path / "mine")
     assert {"runs.parquet", "report.html", "tables.md"} < {link.name for link in links}
     gate = [
@@ -155,12 +154,12 @@ def test_links_in_the_folder_of_a_comparison_are_not_followed(
         "--undecided",
         "pass",
     ]
-    assert main([*common, str(out), *gate]) == 0
+    assert compare(config, "-q", *gate, output=out) == 0
     assert_not_followed(links)
     elsewhere = tmp_path / "elsewhere"
     (out / "runs").rename(elsewhere)
     (out / "runs").symlink_to(elsewhere)
-    assert main([*common, str(out)]) == 2
+    assert compare(config, "-q", output=out) == 2
     text = capsys.readouterr().err
     assert f"{out}/runs is a symbolic link; remove it" in text
 
