@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, cycle, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 from watched_flights import SECOND, all_sources, watched_bag
 
@@ -66,44 +64,42 @@ def batch_of(messages: Sequence[tuple[str, str, int, bytes]], topic: str) -> Any
 
 
 def looks(
-    watch: LiveWatch,
-    messages: Sequence[tuple[str, str, int, bytes]],
-    tick_s: Callable[[], float],
-    seen: Callable[[WatchReport], object],
-) -> None:
-    """Hand over messages tick by tick."""
+    watch: LiveWatch, messages: Sequence[tuple[str, str, int, bytes]], ticks_s: Iterable[float]
+) -> Iterator[tuple[int, WatchReport]]:
+    """Hand over messages tick by tick; yield the end of each tick, and what the watch reports."""
     begin, time = 0, messages[0][2]
     times = [message[2] for message in messages]
-    while begin < len(messages):
-        time += int(tick_s() * SECOND)
+    for tick_s in ticks_s:
+        time += int(tick_s * SECOND)
         end = int(np.searchsorted(times, time, side="right"))
         some = messages[begin:end]
         imu = [item[3] for item in some if item[0] == "/imu"]
         others = {source: batch_of(some, topic) for source, topic in PAIRS.items()}
         others["map"] = batch_of(some, "/tf")
-        seen(watch.look(WatchedMessages(batch_of(some, "/odom"), others, imu)))
+        yield time, watch.look(WatchedMessages(batch_of(some, "/odom"), others, imu))
         begin = end
+        if begin == len(messages):
+            return
 
 
-# Without shrinking, which takes minutes.
 @pytest.mark.slow
-@settings(max_examples=4, deadline=None, phases=(Phase.generate,))
-@given(data=st.data())
-def test_alarms_of_any_ticks_are_those_of_the_recording(
-    runs: list[tuple[Any, Any]], data: st.DataObject
+@pytest.mark.parametrize(
+    ("row", "ticks_s"),
+    [(0, chain(repeat(1.0, 45), repeat(0.05))), (1, cycle((0.2, 7.0, 0.05, 1.0)))],
+    ids=["one message", "any number"],
+)
+def test_alarms_are_those_of_the_recording_in_the_tick_of_their_message(
+    row: int, ticks_s: Iterable[float], runs: list[tuple[Any, Any]]
 ) -> None:
-    messages, offline = runs[data.draw(st.integers(0, len(runs) - 1))]
-    ticks = data.draw(st.lists(st.sampled_from([0.05, 0.2, 1.0, 7.0]), min_size=1, max_size=5))
+    messages, offline = runs[row]
     watch = live_watch()
     alarms: dict[int, WatchAlarm] = {}
-    begun: list[Remark] = []
-
-    def see(report: WatchReport) -> None:
-        begun.extend(report.begun)
+    begun: list[tuple[int, int, Remark]] = []
+    before = messages[0][2]
+    for time, report in looks(watch, messages, ticks_s):
+        begun += [(before, time, remark) for remark in report.begun]
         alarms.update({id(alarm): alarm for alarm in watch.book.alarms})
-
-    rotation = iter(range(10**9))
-    looks(watch, messages, lambda: ticks[next(rotation) % len(ticks)], see)
+        before = time
     origin = watch.watchdog.origin
     result = sorted(
         (alarm.signal, origin + round(alarm.begin_s * SECOND), alarm.is_over, alarm.peak)
@@ -119,27 +115,11 @@ def test_alarms_of_any_ticks_are_those_of_the_recording(
     begins, peaks = (np.array([item[column] for item in result]) for column in (1, 3))
     np.testing.assert_allclose(begins, [item[1] for item in expected], rtol=0.0, atol=1)
     np.testing.assert_allclose(peaks, [item[3] for item in expected], rtol=1e-9)
-    assert sorted(item.subject for item in begun) == [item[0] for item in expected]
-
-
-@pytest.mark.slow
-def test_an_alarm_is_told_in_the_tick_of_its_message_with_its_factor(
-    runs: list[tuple[Any, Any]],
-) -> None:
-    messages, offline = runs[0]
+    assert sorted(item.subject for *_, item in begun) == [item[0] for item in expected]
     first = min(offline["alarms"], key=lambda alarm: alarm["begin_ns"])
-    watch = live_watch()
-    tick_ns, now = SECOND // 20, [messages[0][2]]
-    told: list[tuple[int, Remark]] = []
-
-    def see(report: WatchReport) -> None:
-        now[0] += tick_ns
-        told.extend((now[0], item) for item in report.begun)
-
-    looks(watch, messages, lambda: 0.05, see)
-    time, remark = told[0]
+    before, time, remark = begun[0]
     assert remark.subject == first["signal"]
-    assert 0 <= time - int(remark.values["stamp_ns"]) <= 2 * tick_ns
+    assert before - SECOND // 20 <= int(remark.values["stamp_ns"]) <= time
     assert remark.values["limit"] == pytest.approx(first["limit"])
     assert remark.values["factor"] == 1.0
     report = watch.look(WatchedMessages())
@@ -152,10 +132,8 @@ def test_before_the_arming_it_says_for_how_long_the_robot_has_moved(
     runs: list[tuple[Any, Any]],
 ) -> None:
     messages, _ = runs[0]
-    watch = live_watch()
-    reports: list[WatchReport] = []
-    looks(watch, messages[: len(messages) // 5], lambda: 1.0, reports.append)
-    [remark] = reports[-1].remarks
+    *_, (_, report) = looks(live_watch(), messages[: len(messages) // 5], repeat(1.0))
+    [remark] = report.remarks
     assert remark.level == Level.NOTE
     assert remark.text.startswith("arming: 1")
     assert remark.text.endswith("of 30 s of motion")
@@ -165,9 +143,7 @@ def test_before_the_arming_it_says_for_how_long_the_robot_has_moved(
 def test_a_source_without_data_is_told_once(tmp_path: Path) -> None:
     messages = recorded(watched_bag(tmp_path, "long", 6, duration_s=100.0))
     alone = [message for message in messages if message[0] != "/imu"]
-    watch = live_watch()
-    reports: list[WatchReport] = []
-    looks(watch, alone, partial(float, 1.0), reports.append)
+    reports = [report for _, report in looks(live_watch(), alone, repeat(1.0))]
     told = [item.text for report in reports for item in report.news]
     assert len([item for item in told if "no data of the IMU" in item]) == 1
     assert not any(report.begun for report in reports)
