@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from advice import assert_no_advice_is_worse
 
 from benchmarks.diagnosis import corrected, diagnosis_of
 from benchmarks.diagnosis_discontinuities import DISCONTINUITIES
@@ -40,18 +41,23 @@ def causes(diagnosis: Diagnosis) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ALL.keys() - UNSEEN_ON_DRONES))
 def test_a_mistake_is_named_on_a_drone(name: str) -> None:
-    assert causes(diagnosis_of(ALL[name].make(DRONE)))[0] in ALL[name].causes
+    diagnosis = diagnosis_of(ALL[name].make(DRONE))
+    assert_no_advice_is_worse(diagnosis)
+    assert causes(diagnosis)[0] in ALL[name].causes
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ALL.keys() - UNSEEN_ON_CARS))
 def test_a_mistake_is_named_on_a_car(name: str) -> None:
-    assert causes(diagnosis_of(ALL[name].make(CAR)))[0] in ALL[name].causes
+    diagnosis = diagnosis_of(ALL[name].make(CAR))
+    assert_no_advice_is_worse(diagnosis)
+    assert causes(diagnosis)[0] in ALL[name].causes
 
 
 @pytest.mark.parametrize("name", sorted(UNSEEN_ON_CARS))
 def test_what_a_car_can_not_show_is_a_tie_or_nothing(name: str) -> None:
     diagnosis = diagnosis_of(ALL[name].make(CAR))
+    assert_no_advice_is_worse(diagnosis)
     allowed = {*ALL[name].causes, "convention_tie", "small_clock_offset"}
     assert set(causes(diagnosis)) <= allowed
 
