@@ -62,7 +62,7 @@ def growing_path(source: Trajectory) -> tuple[list[Message], Trajectory]:
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag of a simulated flight, with its poses in several kinds of messages."""
-    simulated = simulate(3, 60.0)
+    simulated = simulate(3, 40.0)
     groundtruth, estimate = simulated.groundtruth[::2], simulated.estimate
     keyframes = estimate[::2]
     keyframes = keyframes[: len(keyframes) // 5 * 5]
@@ -165,20 +165,20 @@ def test_live_is_offline_on_a_recording_of_ros1_with_two_estimates(
     shared_data: Path, peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
     bag = shared_data / "bags" / "ROS_example.bag"
-    values = {
-        "groundtruth": "/groundtruth",
-        "estimates": ["/ORB_SLAM", "/S_PTAM"],
-        "gauge": "sim3",
-        "lengths": "8,16,5s",
+    nodes = {
+        "sliding": {
+            "groundtruth": "/groundtruth",
+            "estimates": ["/ORB_SLAM", "/S_PTAM"],
+            "gauge": "sim3",
+            "lengths": "8,16,5s",
+            "window": "30s",
+        }
     }
-    nodes = {"whole": {**values, "window": "0"}, "sliding": {**values, "window": "30s"}}
     done = play_without_loss(bag, peer, environment, tmp_path / "out", nodes, rate=90.0)
     options = ["--gauge", "sim3", "--lengths", "8,16,5s"]
     topics = ["/ORB-SLAM", "/S-PTAM"]
     recorded = offline(bag, tmp_path, "/groundtruth", topics, *options)
-    assert len(done) == 2
-    for item in done.values():
-        assert_same(item.result, recorded)
+    assert_same(done["sliding"].result, recorded)
 
 
 def test_live_is_offline_on_euroc(
@@ -193,12 +193,8 @@ def test_live_is_offline_on_euroc(
     write_messages(
         bag, [*messages_of(groundtruth, GROUNDTRUTH, POSE), *messages_of(estimate, ODOMETRY, ODOM)]
     )
-    nodes = {
-        "whole": {"modality": "mono-inertial", "window": "0"},
-        "sliding": {"modality": "mono-inertial", "window": "30s"},
-    }
+    nodes = {"whole": {"modality": "mono-inertial", "window": "0"}}
     done = play_without_loss(bag, peer, environment, tmp_path / "out", nodes, rate=18.0)
     recorded = offline(bag, tmp_path, GROUNDTRUTH, [ODOMETRY], "--modality", "mono-inertial")
     assert recorded["runs"][0]["association"]["pairs"] > 1700
-    for item in done.values():
-        assert_same(item.result, recorded)
+    assert_same(done["whole"].result, recorded)

@@ -63,7 +63,7 @@ def edge(parent: str, child: str, poses: Trajectory, topic: str = "/tf") -> list
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag of a groundtruth, and of an estimate that three publishers make the tree of."""
-    simulated = simulate(5, 40.0)
+    simulated = simulate(5, 25.0)
     groundtruth, estimate = simulated.groundtruth[::4], simulated.estimate
     begin = int(min(groundtruth.stamps[0], estimate.stamps[0]))
     random = np.random.default_rng(5)
@@ -132,14 +132,14 @@ def test_live_is_offline(
     recorded = offline(
         flight, tmp_path, groundtruth, [ESTIMATE], "--gauge", "yaw", "--lengths", "4,8"
     )
-    assert recorded["runs"][0]["association"]["pairs"] > 600
+    assert recorded["runs"][0]["association"]["pairs"] > 350
     assert_same(evaluator.result, recorded)
 
 
 def test_a_marker_is_brought_to_the_body_by_static_transforms(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
-    bag, flight = tmp_path / "bag", simulate(5, 40.0)
+    bag, flight = tmp_path / "bag", simulate(5, 25.0)
     inner = ("base_link", "mount", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     outer = ("mount", "marker", 0, MOUNTED.lever_m, MOUNTED.rotation_xyzw)
     begin = int(flight.estimate.stamps[0])
@@ -251,7 +251,7 @@ def test_a_latched_static_transform_is_received_beside_one_that_is_not_latched(
         assert evaluator.end() == 0
     for publisher in publishers:
         peer.node.destroy_publisher(publisher)
-    assert evaluator.run_of(ESTIMATE)["association"]["pairs"] > 500
+    assert evaluator.run_of(ESTIMATE)["association"]["pairs"] > 300
 
 
 def test_a_frame_that_is_not_there_is_named(
