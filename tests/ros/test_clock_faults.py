@@ -112,13 +112,10 @@ def test_clocks_with_nothing_in_common_are_reported_within_three_seconds(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ahead_s", [100_000.0, -100_000.0])
-def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
-    tmp_path: Path, ahead_s: float
-) -> None:
+def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(tmp_path: Path) -> None:
     """A delay can't be measured by such clocks; and the offset has digits that can be typed."""
     live = Live(tmp_path / "live", ODOM)
-    stamps = ESTIMATED.stamps + round(ahead_s * SECOND)
+    stamps = ESTIMATED.stamps + -100_000 * SECOND
     standing, printed, told = ActiveAlarms(), [], []
     for second in np.arange(0.0, 6.0, 0.5):
         fly(
@@ -141,7 +138,7 @@ def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("rate", "late_s"), [(0.5, 5.0), (1.0, 0.0), (15.0, 0.0), (15.0, 5.0)])
+@pytest.mark.parametrize(("rate", "late_s"), [(0.5, 5.0), (15.0, 0.0)])
 def test_equal_clocks_are_not_reported_at_any_rate(
     tmp_path: Path, rate: float, late_s: float
 ) -> None:
@@ -198,8 +195,7 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late_s", [0.0, 2.5])
-@pytest.mark.parametrize("rate", [0.3, 5.0])
+@pytest.mark.parametrize(("rate", "late_s"), [(0.3, 2.5), (5.0, 0.0), (5.0, 2.5)])
 def test_lateness_does_not_depend_on_the_rate_of_a_replay(
     tmp_path: Path, rate: float, late_s: float
 ) -> None:
@@ -283,15 +279,7 @@ def test_an_estimator_that_stalls_and_catches_up_has_no_faulty_clock(tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("step_s", "of_groundtruth", "rate"),
-    [
-        (3.0, False, 1.0),
-        (3.0, True, 8.0),
-        (0.5, True, 1.0),
-        (-0.5, False, 8.0),
-        (-0.5, True, 1.0),
-        (-3.0, False, 1.0),
-        (-3.0, True, 8.0),
-    ],
+    [(3.0, False, 1.0), (0.5, True, 1.0), (-0.5, False, 8.0), (-3.0, True, 8.0)],
 )
 def test_a_step_of_one_clock_is_a_warning_until_a_reset(
     tmp_path: Path, step_s: float, of_groundtruth: bool, rate: float

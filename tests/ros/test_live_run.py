@@ -296,6 +296,7 @@ def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
 def test_finish_holds_a_run_against_bounds(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     live.feed(messages(9))
