@@ -6,8 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from calibration_flights import EPOCH
-from exact_flights import DURATION_S, FAULT, SCALE_OF_ESTIMATE, flown
+from exact_flights import FAULT, SCALE_OF_ESTIMATE, flown
 from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 from strategies import seeds
@@ -20,28 +19,8 @@ from trajeval_ros.calibration.increments import (
     SCALE,
     SKEW,
     Increments,
-    PoseInterpolator,
 )
 from trajeval_ros.geometry import so3
-
-
-@pytest.mark.parametrize("oriented", [True, False])
-def test_true_parameters_leave_no_residual(oriented: bool) -> None:
-    truth, estimate, unknowns = flown(oriented=oriented)
-    increments = Increments(truth, estimate)
-    result = increments.linearise(unknowns)
-    assert result.residual.shape[1] == (6 if oriented else 3)
-    # Linear interpolation over 2 ms leaves an eighth of 4e-6 s^2 times an acceleration.
-    np.testing.assert_allclose(result.residual, 0.0, atol=1e-5)
-    assert increments.horizon_s == 1.0
-    # The last second has no pair; a quarter of the horizon is allowed.
-    assert len(increments) == 401 - 15
-    begin = increments.start(FAULT.offset_s, with_scale=True, about_z=False)
-    assert begin.skew == 0.0
-    if oriented:
-        np.testing.assert_allclose(begin.rotation, unknowns.rotation, atol=0.01)
-        np.testing.assert_allclose(begin.lever_m, unknowns.lever_m, atol=0.02)
-        assert begin.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=0.01)
 
 
 def test_positions_alone_start_at_the_turn_between_the_worlds() -> None:
@@ -59,36 +38,6 @@ def test_positions_alone_start_at_the_turn_between_the_worlds() -> None:
     nothing = increments.start(1e4, with_scale=True, about_z=False)
     np.testing.assert_array_equal(nothing.rotation, np.eye(3))
     assert nothing.scale == 1.0
-
-
-@pytest.mark.parametrize("oriented", [True, False])
-def test_jacobians_of_increments_are_derivatives(oriented: bool) -> None:
-    truth, estimate, unknowns = flown(oriented=oriented)
-    increments = Increments(truth, estimate, 60)
-    assert len(increments) <= 60
-    at = unknowns.moved(np.array([0.004, 1e-5, 0.1, -0.05, 0.2, 0.1, 0.3, -0.2, 0.1]))
-    result = increments.linearise(at)
-    middle_s = (increments._since + increments._till)[result.rows] / 2.0 - DURATION_S / 2.0
-    # A skew is an offset that grows from the middle of the run on.
-    np.testing.assert_allclose(
-        result.jacobian[..., 1], result.jacobian[..., 0] * middle_s[:, None], rtol=1e-9
-    )
-    for column in [0, *range(2, 9)]:
-        step = np.zeros(9)
-        # The derivative by the clock is over 20 ms.
-        size = 0.02 if column == 0 else 1e-6
-        step[column] = size
-        ahead, behind = (increments.linearise(at.moved(sign * step)) for sign in (1.0, -1.0))
-        both = np.intersect1d(np.intersect1d(ahead.rows, behind.rows), result.rows)
-        one, other = (item.residual[np.isin(item.rows, both)] for item in (ahead, behind))
-        change = (one - other) / (2.0 * size)
-        jacobian = result.jacobian[np.isin(result.rows, both), :, column]
-        # By the rotation, r_R is linearised at a small residual.
-        if oriented and column in range(2, 5):
-            np.testing.assert_allclose(jacobian[:, :3], change[:, :3], atol=1e-5)
-            np.testing.assert_allclose(jacobian[:, 3:], change[:, 3:], atol=0.3)
-        else:
-            np.testing.assert_allclose(jacobian, change, atol=1e-5)
 
 
 @pytest.mark.parametrize("oriented", [True, False])
@@ -111,31 +60,6 @@ def test_either_side_has_the_same_jacobian(oriented: bool) -> None:
         size = np.abs(estimated).max()
         # The clock's derivatives are over +-20 and +-50 ms: an error of 1e-3.
         np.testing.assert_allclose(other, estimated, atol=5e-3 * size)
-
-
-def test_pairs_do_not_cross_gaps() -> None:
-    truth, estimate, _ = flown()
-    kept = np.ones(401, dtype=bool)
-    kept[200:210] = False  # 0.55 s without a state
-    some = Increments(truth, estimate[kept])
-    # Of the 10 + 5 pairs around the gap that a whole second would have, none is left.
-    first = (estimate[kept].stamps[some._first] - EPOCH) / 1e9
-    last = (estimate[kept].stamps[some._last] - EPOCH) / 1e9
-    assert not ((first < 9.99) & (last > 10.01)).any()
-    assert (np.abs(last - first - 1.0) <= 0.25).all()
-    kept[:] = True
-    kept[200:209] = False  # 0.5 s are no gap
-    some = Increments(truth, estimate[kept])
-    first = (estimate[kept].stamps[some._first] - EPOCH) / 1e9
-    last = (estimate[kept].stamps[some._last] - EPOCH) / 1e9
-    assert ((first < 9.99) & (last > 10.01)).any()
-    sparse = Increments(truth, estimate[::10])
-    assert sparse.horizon_s == pytest.approx(1.5)
-    estimated = PoseInterpolator.of(estimate[::10], with_rotations=True, sparse=True)
-    assert (estimated.step_s, estimated.gap_s) == pytest.approx((0.5, 2.0))
-    dense = PoseInterpolator.of(estimate, with_rotations=False)
-    assert (dense.step_s, dense.gap_s) == pytest.approx((0.05, 0.5))
-    assert dense.quaternions is None
 
 
 @given(seed=seeds)

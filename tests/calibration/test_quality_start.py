@@ -123,3 +123,25 @@ def test_noise_of_a_rig_at_rest_is_no_other_unit() -> None:
     made = rig(1, "rest", noise=(0.2, 2e-3))
     case = start.prepared(made.groundtruth, made.readings, 0.0)
     assert len(case.samples.seconds) == len(made.groundtruth)
+
+
+def test_rough_orientations_are_found_from_positions() -> None:
+    made = rig(5, noise=(1e-5, 1e-5))
+    readings, truth = made.readings, made.groundtruth
+    imu = start.imu_of(readings)
+    own = (truth.stamps - START_NS) / 1e9
+    result = start.rough_orientations(own, truth.positions, imu)
+    apart = made.motion.rotations(own).inv() * Rotation.from_quat(result)
+    # Good enough for a start: the gyroscope's drift within windows of 5 s is about 3 deg.
+    assert np.degrees(np.median(apart.magnitude())) < 6.0
+    guess = start.guess_of(truth, imu)
+    assert guess.signal == "angular rate"
+    assert guess.offset_s == pytest.approx(0.0, abs=5e-3)
+    late = dataclasses.replace(truth, stamps=truth.stamps - 700_000_000)
+    assert start.guess_of(late, imu).offset_s == pytest.approx(0.7, abs=5e-3)
+    bare = dataclasses.replace(late, quaternions=None)
+    swings = start.guess_of(bare, imu)
+    assert swings.signal == "speed"
+    assert swings.offset_s == pytest.approx(0.7, abs=0.02)
+    far = dataclasses.replace(truth, stamps=truth.stamps - 700 * 10**9)
+    assert start.guess_of(far, imu).offset_s == pytest.approx(700.0, abs=5e-3)
