@@ -362,6 +362,8 @@ def test_joint_posterior_agrees_with_single_poses() -> None:
     )
     observed = joint.observed(np.tile(1e-4 * np.eye(3), (15, 1, 1)))
     assert observed.log_density(errors) == pytest.approx(expected, rel=1e-8)
+    determinant = np.linalg.slogdet(with_tolerance)[1]
+    assert observed.log_determinant == pytest.approx(determinant, rel=1e-7)
     columns = np.stack([errors, errors[::-1]], axis=-1)
     solved = np.linalg.solve(with_tolerance, columns.reshape(45, 2)).reshape(15, 3, 2)
     np.testing.assert_allclose(observed.solve(columns), solved, rtol=1e-6, atol=1e-9)

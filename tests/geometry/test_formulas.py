@@ -314,6 +314,9 @@ def test_factors_of_many_states_are_one_matrix(count: int) -> None:
     np.testing.assert_allclose(
         factor.solve(columns[..., 0]), expected[..., 0], rtol=1e-8, atol=1e-9
     )
+    whitened = factor.whitened(columns[..., 0])
+    assert np.sum(whitened**2) == pytest.approx(np.sum(columns[..., 0] * expected[..., 0]))
+    assert factor.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1])
     diagonals = np.log(np.diag(np.linalg.cholesky(dense)))
     np.testing.assert_allclose(factor.log_diagonal.ravel(), diagonals, rtol=1e-9, atol=1e-9)
     with pytest.raises(np.linalg.LinAlgError):

@@ -12,12 +12,6 @@ from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import marginal
 from trajeval_ros.likelihood.alignment_chart import Chart, act
-from trajeval_ros.likelihood.marginal import generalised_absolute_error
-from trajeval_ros.likelihood.observable_directions import (
-    _condition,
-    _scale_of,
-    _tilt_of,
-)
 from trajeval_ros.likelihood.relative_density import (
     relative_covariance,
     relative_poses,
@@ -149,33 +143,6 @@ def test_second_derivatives_are_those_of_the_density(gauge: Gauge) -> None:
             # Charts compose, so that sums of deltas are a chart's to second order.
             expected = result[row, column] * steps[row] * steps[column]
             assert -change == pytest.approx(expected, abs=4e-6)
-
-
-def test_conditions_are_gaussian_densities_at_zero() -> None:
-    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
-    result = _condition(np.array([0.3, -0.2]), covariance)
-    expected = multivariate_normal.logpdf([0.3, -0.2], cov=covariance)
-    assert result.log_density == pytest.approx(float(expected))
-    np.testing.assert_allclose(result.z, [1.5, -0.2 / 0.3])
-    assert result.sigmas == pytest.approx((0.2, 0.3))
-
-
-def test_conditions_have_the_scale_and_the_tilt_of_the_alignment() -> None:
-    belief = belief_of(8, 30)
-    rotation = so3.exp(np.array([0.0, 0.0, 0.9])) @ so3.exp(np.array([0.02, -0.03, 0.0]))
-    element = se3.poses(1.05 * rotation, np.array([1.0, 2.0, 3.0]))
-    estimate = act(np.linalg.inv(element), belief.poses)
-    error = generalised_absolute_error(Residuals(belief, estimate, Gauge.SIM3))
-    scale = _scale_of(error)
-    assert scale.values[0] == pytest.approx(np.log(1.05), abs=1e-7)
-    assert scale.sigmas[0] == pytest.approx(np.sqrt(error.covariance[6, 6]))
-    rigid = act(np.linalg.inv(se3.poses(rotation, np.ones(3))), belief.poses)
-    error = generalised_absolute_error(Residuals(belief, rigid, Gauge.SE3))
-    tilt = _tilt_of(error)
-    # The yaw is taken away on the right.
-    level = rotation @ so3.rot_z(-float(so3.yaw_of_matrix(rotation)))
-    np.testing.assert_allclose(tilt.values, so3.log(level)[:2], atol=1e-7)
-    np.testing.assert_allclose(tilt.sigmas, np.sqrt(np.diag(error.covariance))[3:5])
 
 
 def test_relative_poses_are_linear_in_perturbations() -> None:

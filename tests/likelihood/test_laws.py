@@ -132,33 +132,6 @@ def test_millimetres_change_a_score_by_a_constant() -> None:
     assert score(in_mm, other, Gauge.SE3) == pytest.approx(expected, abs=1e-8)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("density", ["haar", "log"])
-@pytest.mark.parametrize("gauge", [*GAUGES, Gauge.TRANSLATION])
-@given(seed=seeds)
-@settings(max_examples=5)
-def test_gradient_is_exact_and_vanishes_at_the_mode(gauge: Gauge, density: str, seed: int) -> None:
-    belief, estimate = drawn(8, seed, 0.3)
-    residuals = DENSITIES[density](belief, estimate, gauge)
-    element = as_matrix(make_element(gauge, seed, reach_m=0.3))
-    near = residuals.chart.elements(np.full((1, residuals.chart.dimension), 0.03))[0]
-    if gauge is not Gauge.TRANSLATION:
-        near = near @ generalised_absolute_error(residuals).mode.element
-    else:
-        near = element
-    result = residuals.slope(near).gradient
-    for axis, value in enumerate(result):
-        steps = np.zeros((2, len(result)))
-        steps[:, axis] = 1e-5, -1e-5
-        up, down = residuals.log_density(residuals.chart.elements(steps) @ near)
-        assert value == pytest.approx(
-            (up - down) / 2e-5, rel=1e-7, abs=1e-7 * np.abs(result).max()
-        )
-    mode = generalised_absolute_error(residuals).mode
-    sigma = 1.0 / np.sqrt(np.diag(mode.slope.information))
-    assert np.abs(mode.slope.gradient * sigma).max() < 1e-8
-
-
 @pytest.mark.parametrize("gauge", [Gauge.YAW, pytest.param(Gauge.SE3, marks=pytest.mark.slow)])
 def test_laplace_is_close_to_quadrature_and_sampling(gauge: Gauge) -> None:
     belief, estimate = drawn(6, 5, np.radians(3.0))

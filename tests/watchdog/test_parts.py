@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 import re
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from trajeval_ros.watchdog.inertial_mounting import Mounting
 from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
 from trajeval_ros.watchdog.pose_signals import CorrectionSignals, EventSignals, SmoothSignal
 from trajeval_ros.watchdog.recording import error_spans, undetected_faults
-from trajeval_ros.watchdog.row_buffer import OrderedFeed, RowBuffer, window_begins
+from trajeval_ros.watchdog.row_buffer import OrderedFeed
 from trajeval_ros.watchdog.signals import (
     SIGNALS,
     Readings,
@@ -61,30 +60,6 @@ def test_rows_have_the_start_of_their_gapless_part() -> None:
     assert feed.rows(np.array([6.0, 5.0]), np.zeros((2, 1))).shape == (0, 3)
     assert feed.out_of_order == 4
     assert feed.rows(np.array([8.0, 10.5]), np.zeros((2, 1)))[:, 1].tolist() == [5.5, 10.5]
-
-
-def test_old_rows_are_forgotten() -> None:
-    recent = RowBuffer(2)
-    for begin in range(0, 50_000, 500):
-        recent.append(np.column_stack([np.arange(begin, begin + 500.0), np.zeros(500)]))
-        recent.forget(begin - 100.0)
-        assert recent.rows[0, 0] == max(begin - 100.0, 0.0)
-        assert recent.rows[-1, 0] == begin + 499.0
-    recent.forget_until(49_700.5)
-    assert recent.rows[0, 0] == 49_700.0
-    recent.forget_until(49_701.0)
-    assert recent.rows[0, 0] == 49_701.0
-    recent.forget_until(1.0)
-    assert recent.rows[0, 0] == 49_701.0
-    assert len(pickle.dumps(recent)) < 5000 * 2 * 8
-
-
-def test_windows_begin_at_their_first_row_and_have_no_gap() -> None:
-    times = np.array([0.0, 0.5, 1.0, 1.5, 5.0, 5.5, 6.0])
-    rows = OrderedFeed().rows(times, np.zeros((7, 1)))
-    begins, known = window_begins(rows, 1, 1.0)
-    assert begins.tolist() == [0, 0, 1, 4, 4, 4]
-    assert known.tolist() == [False, True, True, False, False, True]
 
 
 def test_rotations_over_time() -> None:
