@@ -64,6 +64,7 @@ def test_live_is_offline_on_recordings(
 
 
 @pytest.mark.slow
+@settings(max_examples=10)
 @given(seed=seeds, gauge=gauges)
 def test_live_is_offline(seed: int, gauge: Gauge) -> None:
     groundtruth, estimate = make_pair(seed, 300)
@@ -235,6 +236,7 @@ def test_a_part_of_a_trajectory_does_not_count_what_the_whole_dropped() -> None:
 
 
 @pytest.mark.slow
+@settings(max_examples=10)
 @given(seed=seeds)
 def test_order_of_arrival_within_the_buffer_changes_no_pair(seed: int) -> None:
     random = np.random.default_rng(seed)
