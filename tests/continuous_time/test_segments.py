@@ -13,6 +13,8 @@ from trajeval_ros.continuous_time.piecewise_gp import (
     GPSegments,
     PiecewiseGP,
     TwoScaleGP,
+    _inverse_root,
+    _inverse_roots,
     _rows,
     blended,
     runs_between,
@@ -126,6 +128,24 @@ def test_a_segment_is_a_conditioned_gaussian(seed: int) -> None:
     np.testing.assert_allclose(result.poses, poses, atol=1e-10)
     np.testing.assert_allclose(result.covariances, covariances, rtol=1e-9, atol=1e-12)
     assert gp.at(asked).covariances == pytest.approx(covariances, rel=1e-9, abs=1e-12)
+
+
+def test_a_singular_prior_has_a_root_with_a_larger_diagonal() -> None:
+    ones = np.ones((4, 4))
+    easy = Hyperparameters(1.0, 1.0, 0.5)
+    root = _inverse_root(ones, easy)
+    np.testing.assert_allclose(root @ (ones + 0.25 * np.eye(4)) @ root.T, np.eye(4), atol=1e-12)
+    assert np.triu(root, 1).max() == 0.0
+    # Without noise: 1e-10 of the variance is added.
+    hard = Hyperparameters(2.0, 1.0, 0.0)
+    root = _inverse_root(4.0 * ones, hard)
+    product = root @ (4.0 * ones + 4e-10 * np.eye(4)) @ root.T
+    np.testing.assert_allclose(product, np.eye(4), atol=1e-4)
+    times = np.arange(300.0)[:, None] + np.array([0.0, 0.3, 0.7])
+    roots = _inverse_roots(MATERN_32, times, easy)
+    lags = times[0, :, None] - times[0]
+    expected = _inverse_root(MATERN_32.between(lags, 1.0), easy)
+    np.testing.assert_allclose(roots, np.tile(expected, (300, 1, 1)), atol=1e-12)
 
 
 def test_gaps_have_a_coarse_process_with_a_smooth_transition() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import re
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from trajeval_ros.watchdog.inertial_mounting import Mounting
 from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
 from trajeval_ros.watchdog.pose_signals import CorrectionSignals, EventSignals, SmoothSignal
 from trajeval_ros.watchdog.recording import error_spans, undetected_faults
-from trajeval_ros.watchdog.row_buffer import OrderedFeed
+from trajeval_ros.watchdog.row_buffer import OrderedFeed, RowBuffer
 from trajeval_ros.watchdog.signals import (
     SIGNALS,
     Readings,
@@ -60,6 +61,22 @@ def test_rows_have_the_start_of_their_gapless_part() -> None:
     assert feed.rows(np.array([6.0, 5.0]), np.zeros((2, 1))).shape == (0, 3)
     assert feed.out_of_order == 4
     assert feed.rows(np.array([8.0, 10.5]), np.zeros((2, 1)))[:, 1].tolist() == [5.5, 10.5]
+
+
+def test_old_rows_are_forgotten() -> None:
+    recent = RowBuffer(2)
+    for begin in range(0, 50_000, 500):
+        recent.append(np.column_stack([np.arange(begin, begin + 500.0), np.zeros(500)]))
+        recent.forget(begin - 100.0)
+        assert recent.rows[0, 0] == max(begin - 100.0, 0.0)
+        assert recent.rows[-1, 0] == begin + 499.0
+    recent.forget_until(49_700.5)
+    assert recent.rows[0, 0] == 49_700.0
+    recent.forget_until(49_701.0)
+    assert recent.rows[0, 0] == 49_701.0
+    recent.forget_until(1.0)
+    assert recent.rows[0, 0] == 49_701.0
+    assert len(pickle.dumps(recent)) < 5000 * 2 * 8
 
 
 def test_rotations_over_time() -> None:
