@@ -15,6 +15,7 @@ from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES
 from benchmarks.diagnosis_runs import DRIFTS, KINDS, Pair, simulated, with_outliers
 from trajeval_ros.diagnosis.findings import Diagnosis
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 
 DRONE = simulated(5000, "drone", "walk", 100.0)
@@ -207,3 +208,38 @@ def test_another_run_is_told() -> None:
     other = simulated(5400, "drone", "walk", 100.0)
     stranger = dataclasses.replace(DRONE, truth=other.truth)
     assert causes(diagnosis_of(stranger))[0] == "other_run"
+
+
+@pytest.mark.parametrize(("one", "other"), [("car", "drone"), ("car", "car")])
+def test_another_run_does_not_diverge_from_this_one(one: str, other: str) -> None:
+    """Motions agree before a divergence, and here they did not."""
+    pair = simulated(61205, one, "walk", 100.0)
+    truth = simulated(61206 if other == "car" else 61201, other, "heavy", 100.0).truth
+    stamps = truth.stamps - truth.stamps[0] + pair.estimate.stamps[0]
+    stranger = dataclasses.replace(pair, truth=dataclasses.replace(truth, stamps=stamps))
+    assert causes(diagnosis_of(stranger)) == ["other_run"]
+
+
+def test_a_divergence_after_a_rest_is_no_other_run() -> None:
+    """Before it, noise is compared, which does not agree."""
+    pair = simulated(901, "drone", "walk", 100.0)
+    random, sides = np.random.default_rng(1), {}
+    for name, noise_m in (("truth", 0.0005), ("estimate", 0.002)):
+        side = getattr(pair, name)
+        rests = side.stamps - side.stamps[0] < 10_000_000_000
+        positions, quaternions = side.positions.copy(), side.known_quaternions.copy()
+        count = int(rests.sum())
+        positions[rests] = positions[count] + random.normal(scale=noise_m, size=(count, 3))
+        vectors = random.normal(scale=2e-4, size=(count, 3))
+        quaternions[rests] = lie.multiply(quaternions[count], lie.from_rotation_vector(vectors))
+        sides[name] = dataclasses.replace(side, positions=positions, quaternions=quaternions)
+    estimate = sides["estimate"]
+    since_s = np.maximum(estimate.seconds - 12.0, 0.0)
+    away = np.outer(since_s**2, [0.3, -0.2, 0.1])
+    rotations = np.outer(np.minimum(0.3 * since_s, 2.5) * np.sin(since_s), [0.5, -1.0, 0.8])
+    sides["estimate"] = dataclasses.replace(
+        estimate,
+        positions=estimate.positions + away,
+        quaternions=lie.multiply(estimate.known_quaternions, lie.from_rotation_vector(rotations)),
+    )
+    assert causes(diagnosis_of(dataclasses.replace(pair, **sides))) == ["diverged"]

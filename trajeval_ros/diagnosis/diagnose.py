@@ -37,7 +37,7 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
     losses_in,
     lost_tracking,
 )
-from trajeval_ros.diagnosis.motion_tests import tests_of_motion
+from trajeval_ros.diagnosis.motion_tests import DISAGREE, tests_of_motion
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
 from trajeval_ros.metrics.discontinuities.events import FROZEN, FROZEN_ROTATION
@@ -166,25 +166,30 @@ def _tested_where_tracked(
     """
     certain = [loss for loss in losses if is_certain(loss, pairs)]
     diagnosis = _tested(inputs, certain)
-    # What follows from wrong pairs is no divergence.
+    # What follows from wrong pairs is no divergence, and motions agree before one.
     frozen = [loss for loss in certain if loss.kind == FROZEN]
-    if len(frozen) < len(certain) and diagnosis.names_any(_OTHER_PAIRS):
+    if len(frozen) < len(certain) and (diagnosis.names_any(_OTHER_PAIRS) or _disagrees(diagnosis)):
         whole = _tested(inputs, frozen)
         if whole.names_any(_OTHER_PAIRS):
             certain, diagnosis = frozen, whole
     unexplained: Sequence[Loss] = certain
     from_start = any(begins_at_start(loss, pairs) for loss in losses if loss not in certain)
     if not any(_explains_loss(finding, from_start) for finding in diagnosis.findings):
-        unexplained, number = losses, len(certain)
-        certain = [loss for loss in losses if loss in certain or is_large(loss, pairs)]
-        if len(certain) > number:
-            diagnosis = _tested(inputs, certain)
+        large = [loss for loss in losses if loss in certain or is_large(loss, pairs)]
+        without = diagnosis if len(large) == len(certain) else _tested(inputs, large)
+        if not (diagnosis.named("other_run") and _disagrees(without)):
+            unexplained, certain, diagnosis = losses, large, without
     if not certain:
         return diagnosis, False, unexplained
     lost = lost_tracking(certain, pairs, int(inputs.groundtruth.stamps.min()))
     # Lost messages look like keyframes.
     rest = [test for test in diagnosis.examined if test.test != "keyframes"]
     return Diagnosis.of([lost, *rest]), True, unexplained
+
+
+def _disagrees(diagnosis: Diagnosis) -> bool:
+    """Return whether no model explains the motions, although there are some."""
+    return any(test.why_not == DISAGREE for test in diagnosis.examined)
 
 
 def _explains_loss(finding: Finding, from_start: bool) -> bool:

@@ -49,9 +49,11 @@ from trajeval_ros.geometry.arrays import Indices, lengths
 from trajeval_ros.metrics.statistics import median, quantile
 
 _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1  # of the groundtruth to interpolate across
+DISAGREE = "the motions do not agree"
 AGREE_NATS = 3.0  # per independent motion: unrelated motions reach less
 _UNRELATED_PEAK, _NO_PEAK = 0.8, 0.45  # correlation of another run, also if motions agree
 _LONG_S = 20.0  # common time from which on another run is stated
+_RESTS_M = 0.1  # median displacement of a groundtruth that mostly rests: the others are few
 _AT_REST_RAD = 0.01  # median rotation of a body that does not rotate, which is noise
 # Rotations about a second axis over those about the most frequent one: with fewer, mistakes in
 # Euler angles look like other conventions, and more are slower to test.
@@ -182,7 +184,7 @@ class _Comparison:
         )
 
     def _unrelated(self, statistics: dict[str, float], *, is_apart: bool = True) -> TestResult:
-        match, why_not = self.clock.match, "the motions do not agree"
+        match, why_not = self.clock.match, DISAGREE
         if is_at_rest(self.inputs):
             why_not = "both at rest; motions can't be compared"
         elif match is not None:
@@ -191,6 +193,8 @@ class _Comparison:
             if is_apart or is_far:
                 seen = Detection.of("other_run", peak=match.peak)
                 return TestResult("models", statistics, (seen,))
+            if median(lengths(self.motions.groundtruth.displacements)) < _RESTS_M:
+                why_not = "mostly at rest; few motions can be compared"
         return TestResult("models", statistics, why_not=why_not)
 
     def _fitted(self, scores: ModelScores, model: Model) -> tuple[Parameters, ModelScores]:
