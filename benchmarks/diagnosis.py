@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.diagnosis_cost import cost, cost_of_mistakes
+from benchmarks.diagnosis_discontinuities import DISCONTINUITIES
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES, Mistake
 from benchmarks.diagnosis_runs import (
@@ -339,7 +340,8 @@ def main() -> None:
     if "cpu" in expected:
         cost()
     if "ratios" in expected:
-        cost_of_mistakes({**MISTAKES, **FURTHER, **USERS}, (10_000, 100_000))
+        kinds = {**MISTAKES, **FURTHER, **USERS, **SIZES, **DISCONTINUITIES}
+        cost_of_mistakes(kinds, (10_000, 100_000))
 
 
 if __name__ == "__main__":
