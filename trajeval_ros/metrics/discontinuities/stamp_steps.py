@@ -157,7 +157,7 @@ class StampSteps:
             return False
         before_s, received_before = self._last
         steps = np.diff(stamps, prepend=before_s)
-        if not steps.min() > 0.0:
+        if not steps.min() >= 0.0:  # equal timestamps are no step
             return False
         if received is not None:
             if received_before is None:
@@ -176,7 +176,7 @@ class StampSteps:
             self._leads.extend(leads[-_LEADS:].tolist())
             self._highest_lead_s = max(self._highest_lead_s, float(leads.max()))
             received = times
-        self._steps.extend(steps[-_USUAL_OF:].tolist())
+        self._steps.extend(steps[steps > 0.0][-_USUAL_OF:].tolist())
         self._last = float(stamps[-1]), None if received is None else float(received[-1])
         self._count += len(stamps)
         self._highest_s = max(self._highest_s, float(stamps[-1]) + self.shift_s)
