@@ -209,7 +209,7 @@ def test_a_killed_evaluator_loses_nothing_that_it_has_paired(
     assert_same_numbers(run.evaluation, evaluate(groundtruth, estimate[paired], protocol))
 
 
-# SIGHUP is that of a terminal that is lost.
+# The signal of a lost terminal, SIGHUP, has a test of its own.
 @pytest.mark.parametrize("endings", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]])
 def test_a_signal_ends_it_with_everything_written(
     flight: Path, environment: dict[str, str], endings: list[signal.Signals], tmp_path: Path

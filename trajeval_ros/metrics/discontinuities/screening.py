@@ -17,7 +17,6 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, leng
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.discontinuities.exoneration import EXONERATES
 from trajeval_ros.metrics.discontinuities.open_step import GAP, LEAST_RATIO, calm_s
 from trajeval_ros.metrics.discontinuities.pose_stream import innovations
@@ -32,7 +31,6 @@ _BLOCK = 240  # pairs with a common median: as many as the search remembers
 _OF_MEDIAN = 4.0
 # Smallest change of velocity of a guilty side, relative to the limits.
 _SUDDEN = LEAST_RATIO * EXONERATES
-_IDENTITY = 0.0, 0.0, 0.0, 1.0  # of poses without orientations
 _NEIGHBOURS = 3  # poses that are compared for a change of velocity
 
 
@@ -120,12 +118,11 @@ def _sudden_times(
     """
     begin, end = side.stamps.searchsorted(span)
     rows = slice(max(begin - _NEIGHBOURS, 0), end + _NEIGHBOURS)
-    near = StampedPoses.of(side, rows)
-    if side.quaternions is None:
-        near.poses[:, 3:] = _IDENTITY
-    if len(near.stamps) < 2:
+    near = side[rows]
+    if len(near) < 2:
         return near.stamps
-    steps, by_m, by_deg = innovations((near.stamps - near.stamps[0]) / NANOSECONDS, near.poses)
+    poses = np.hstack([near.positions, near.known_quaternions])
+    steps, by_m, by_deg = innovations(near.seconds, poses)
     at = (stamps.searchsorted(near.stamps[1:]) - 1).clip(0, len(stamps) - 2)
     least_m, least_deg = (_SUDDEN * values[at] for values in limits)
     is_sudden = (unit * by_m >= least_m) | (by_deg >= least_deg) | (steps > GAP * median(steps))
