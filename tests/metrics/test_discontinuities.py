@@ -364,3 +364,11 @@ def test_a_timestamp_centuries_away_adds_no_blocks() -> None:
     assert isinstance(
         discontinuities(groundtruth, dataclasses.replace(estimate, stamps=stamps)), list
     )
+
+
+def test_a_groundtruth_of_two_poses_is_searched() -> None:
+    stamps = np.array([0, 400_000_000])
+    groundtruth = Trajectory(stamps, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    positions = np.linspace([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 600)
+    estimate = Trajectory(np.linspace(0, 4e8, 600).astype(np.int64), positions)
+    assert discontinuities(groundtruth, estimate, unusual=stamps[1:]) == []

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.arrays import Booleans, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
@@ -75,7 +75,7 @@ def _needed(
     seconds = [(side.stamps - begin_ns) / NANOSECONDS for side in sides]
     # Of a cell, its first pose and the neighbours, since the first pair may be one by rounding.
     firsts = [
-        np.convolve(np.diff(times // CELL_S, prepend=-np.inf) > 0.0, [1, 1, 1], "same") > 0
+        _with_neighbours(np.flatnonzero(np.diff(times // CELL_S, prepend=-np.inf)), len(times))
         for times in seconds
     ]
     needed = []
@@ -84,11 +84,18 @@ def _needed(
         is_needed = firsts[number] | np.isin(times // LEARN_S, learned)
         is_needed |= np.isin((times + CELL_S) // LEARN_S, learned)
         other = 1 - number
+        # The poses between which the other side's are interpolated.
         rows = times.searchsorted(seconds[other][firsts[other]])
-        for near in (-1, 0, 1):  # between which it is interpolated
-            is_needed[(rows + near).clip(0, len(times) - 1)] = True
-        needed.append(sides[number][is_needed])
+        needed.append(sides[number][is_needed | _with_neighbours(rows, len(times))])
     return needed[0], needed[1]
+
+
+def _with_neighbours(rows: Indices, count: int) -> Booleans:
+    """Return which of so many rows are one of some rows (K,), or next to one."""
+    chosen = np.zeros(count, dtype=bool)
+    for near in (-1, 0, 1):
+        chosen[(rows + near).clip(0, count - 1)] = True
+    return chosen
 
 
 def stream_discontinuities(trajectory: Trajectory, side: str) -> list[Event]:
